@@ -1,5 +1,7 @@
 """Files appear whole or not at all, and errors about them name them."""
 
+import errno
+import json
 import os
 import shutil
 import sys
@@ -8,8 +10,9 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
-from rgbd_planes._core.text import reason_of
+from rgbd_planes._core.text import reason_of, shown
 
 _OF_FILES = frozenset(
     (
@@ -33,6 +36,11 @@ _OF_FILES = frozenset(
         ".h5",
     )
 )
+_LONGEST_TEXT = 2**26  # bytes
+_MOST_ITEMS, _SHORTEST = 5 * 10**6, 16  # of JSON; of a long text more if they have that many characters on average
+_MOST_LISTS = 10**6  # in JSON: empty ones take thirty times their size
+MOST_PIXELS = 2**25
+"""Pixels of an image in a file, at most: 8K video has a few less."""
 _LONGEST_SUFFIX = 20  # characters; what is longer names no format
 # Bytes. Nonsense in a file may ask for any number of them: if this many are free, memory was not short of a frame.
 _MORE_THAN_A_FRAME = 2**28
@@ -43,7 +51,8 @@ def write_beside(path: str | os.PathLike[str], its_suffix: str | None = None) ->
     """A path beside `path` to write to; it takes the place of `path` once the block has ended without an error.
 
     It has the suffix of `path`, by which many writers know the format, and the permissions of a file that was there
-    before. After an error that file is unchanged, and nothing is left behind.
+    before. After an error that file is unchanged, and nothing is left behind. What is written is on the disk before it
+    takes that place: a power cut leaves the old file or the new one, and whole.
 
     Raises
     ------
@@ -55,7 +64,7 @@ def write_beside(path: str | os.PathLike[str], its_suffix: str | None = None) ->
     given = Path(path).suffix.lower()
     if its_suffix is not None and given in _OF_FILES and given != its_suffix:
         raise ValueError(
-            f"{os.fspath(path)}: expected a path that ends in {its_suffix}, which is what is written, got {given}"
+            f"{shown(path)}: expected a path that ends in {its_suffix}, which is what is written, got {given}"
         )
     check_writable(path)
     target, replaceable = _target(path)
@@ -69,16 +78,32 @@ def write_beside(path: str | os.PathLike[str], its_suffix: str | None = None) ->
         if replaceable:
             if target.exists():
                 shutil.copymode(target, beside)
+            _to_disk(beside)
             beside.replace(target)
+            _to_disk(target.parent)
     except OSError as error:
         if type(error) is OSError and error.errno is None:  # a library's error, in its words
-            raise OSError(f"cannot write {path}: {error}") from error
+            raise OSError(f"cannot write {shown(path)}: {error}") from error
         # A full disk, say, or a name that is too long.
         if error.errno is not None and error.filename in (None, os.fspath(written)):
             error.filename = os.fspath(path)
         raise
     finally:
         beside.unlink(missing_ok=True)
+
+
+def _to_disk(path: Path) -> None:
+    """Wait until the content of a file, or the names in a folder, are where a power cut does not reach them."""
+    if path.is_dir() and sys.platform == "win32":  # which opens no folders
+        return
+    handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS):  # a file system that has no such thing
+            raise
+    finally:
+        os.close(handle)
 
 
 def check_folder_name(path: str | os.PathLike[str], what: str) -> None:
@@ -93,9 +118,11 @@ def check_folder_name(path: str | os.PathLike[str], what: str) -> None:
     if folder.is_dir():
         return
     if folder.exists():
-        raise NotADirectoryError(f"{folder}: expected a folder for {what}, got a file; choose another name")
+        raise NotADirectoryError(f"{shown(folder)}: expected a folder for {what}, got a file; choose another name")
     if folder.suffix.lower() in _OF_FILES:
-        raise ValueError(f"{folder}: expected the name of a folder for {what}, got one that ends in {folder.suffix}")
+        raise ValueError(
+            f"{shown(folder)}: expected the name of a folder for {what}, got one that ends in {folder.suffix}"
+        )
 
 
 @contextmanager
@@ -118,7 +145,7 @@ def alone_in(folder: Path) -> Iterator[None]:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise BlockingIOError(f"{folder}: another call is writing there") from None
+            raise BlockingIOError(f"{shown(folder)}: another call is writing there") from None
         except OSError:  # a file system without locks
             pass
         yield
@@ -134,9 +161,9 @@ def naming(path: str | os.PathLike[str]) -> Iterator[None]:
     try:
         yield
     except TypeError as error:
-        raise TypeError(f"{os.fspath(path)}: {error}") from None
+        raise TypeError(f"{shown(path)}: {error}") from None
     except ValueError as error:
-        raise ValueError(f"{os.fspath(path)}: {error}") from None
+        raise ValueError(f"{shown(path)}: {error}") from None
 
 
 @contextmanager
@@ -147,8 +174,10 @@ def readable(path: str | os.PathLike[str], expected: str, remedy: str = "") -> I
     """
     try:
         yield
+    except TooLargeError as error:
+        raise ValueError(f"{shown(path)}: {error}") from None
     except Exception as error:
-        raise damage(f"{os.fspath(path)}: not {expected}, or damaged", error, remedy) from error
+        raise damage(f"{shown(path)}: not {expected}, or damaged", error, remedy) from error
 
 
 def damage(said: str, error: Exception, remedy: str = "") -> ValueError:
@@ -177,23 +206,70 @@ class MissingFolderError(FileNotFoundError):
 
 
 def existing_file(path: str | os.PathLike[str]) -> Path:
-    """The path, if it is a file: opening a pipe would wait for what may never come."""
-    file = no_folder(path)
+    """The path, if it is a file: the door of all that are read.
+
+    Opening a pipe would wait for what may never come, and a device may have no end.
+
+    Raises
+    ------
+    OSError, ValueError
+        There is no such file, it may not be read, or it is a folder, a device or a pipe.
+    """
+    file = Path(path)
+    if not file.exists():
+        kind = FileNotFoundError if file.parent.exists() else MissingFolderError
+        raise kind(f"{shown(path)}: there is no such file")
+    if file.is_dir():
+        raise ValueError(f"{shown(path)}: expected a file, got a folder")
     if not file.is_file():
-        raise ValueError(f"{path}: expected a file, got a device or a pipe")
+        raise ValueError(f"{shown(path)}: expected a file, got a device or a pipe")
     with file.open("rb"):  # a file without permission is not a damaged one
         return file
 
 
-def no_folder(path: str | os.PathLike[str]) -> Path:
-    """The path, if it exists and is not a folder."""
-    file = Path(path)
-    if not file.exists():
-        kind = FileNotFoundError if file.parent.exists() else MissingFolderError
-        raise kind(f"{path}: there is no such file")
-    if file.is_dir():
-        raise ValueError(f"{path}: expected a file, got a folder")
-    return file
+def text_of(path: str | os.PathLike[str], errors: str = "strict", most: int = _LONGEST_TEXT) -> str:
+    """The text of a small file, without the byte order mark that some editors write.
+
+    Raises
+    ------
+    OSError, ValueError
+        There is no such file, it is no text, or it is larger than any of its kind: its content would take memory.
+    """
+    with existing_file(path).open("rb") as file:
+        content = file.read(most + 1)
+    if len(content) > most:
+        raise ValueError(f"{shown(path)}: expected a text of at most {most >> 20} MiB, got a longer one")
+    return content.decode("utf-8-sig", errors)
+
+
+def json_of(text: str) -> Any:
+    """What a JSON text holds.
+
+    Raises
+    ------
+    ValueError
+        It is none, or holds so many things, or within each other, that they would take memory.
+    """
+    items, lists = text.count(","), text.count("[") + text.count("{")
+    if items > max(_MOST_ITEMS, len(text) // _SHORTEST) or lists > _MOST_LISTS:
+        raise ValueError(f"{items} items in {lists} lists are more than of any file of its kind")
+    try:
+        return json.loads(text)
+    except RecursionError as error:
+        raise ValueError(str(error)) from None
+
+
+class TooLargeError(ValueError):
+    """A file may be whole, but asks for more memory than any of its kind."""
+
+
+def check_pixels(width: int, height: int) -> None:
+    """Raise a TooLargeError if an image in a file has too many pixels, as its header says."""
+    if width * height > MOST_PIXELS:
+        raise TooLargeError(
+            f"expected at most {MOST_PIXELS} pixels in a file, got {width} x {height}: "
+            "for such frames read it with another library, and give the array"
+        )
 
 
 def identity(path: Path) -> tuple[tuple[int, ...], ...]:
@@ -206,11 +282,11 @@ def check_writable(path: str | os.PathLike[str]) -> None:
     """Raise now the OSError that writing `path` would raise after the work is done."""
     target, replaceable = _target(path)
     if target.is_dir():
-        raise IsADirectoryError(f"cannot write {path}: it is a folder")
+        raise IsADirectoryError(f"cannot write {shown(path)}: it is a folder")
     if replaceable and not target.parent.is_dir():
-        raise FileNotFoundError(f"cannot write {path}: there is no folder {target.parent}")
+        raise FileNotFoundError(f"cannot write {shown(path)}: there is no folder {shown(target.parent)}")
     if not os.access(target.parent if replaceable else target, os.W_OK):
-        raise PermissionError(f"cannot write {path}: permission denied")
+        raise PermissionError(f"cannot write {shown(path)}: permission denied")
 
 
 def _target(path: str | os.PathLike[str]) -> tuple[Path, bool]:

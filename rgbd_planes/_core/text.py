@@ -33,11 +33,23 @@ def ranges(numbers: list[int]) -> str:
     return ", ".join(listed[:_LISTED]) + (", ..." if len(listed) > _LISTED else "")
 
 
+def shown(name: object) -> str:
+    """A name from elsewhere, as of a file, that can be printed: it commands no terminal and breaks no line.
+
+    What no terminal shows is written as Python would in a string, ``\\x1b``: control characters, line breaks, marks
+    that turn the direction of writing, and bytes that are no Unicode.
+    """
+    text = str(name)
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
 def one_line(message: object) -> str:
-    """The text of an error; for the system's own, the file and the reason without the number."""
+    """The text of an error, `shown`; for the system's own, the file and the reason without the number."""
     if isinstance(message, OSError) and message.strerror is not None:
-        message = f"{message.filename}: {message.strerror}" if message.filename else message.strerror
-    return " ".join(str(message).split())
+        message = f"{shown(message.filename)}: {message.strerror}" if message.filename else message.strerror
+    return shown(" ".join(str(message).split()))
 
 
 def reason_of(error: BaseException) -> str:

@@ -6,6 +6,8 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from rgbd_planes._core.text import shown
+
 # ExitStack waits for threads; `dataclasses.replace` makes cameras anew.
 _INSIDE = "rgbd_planes", "contextlib", "dataclasses"
 
@@ -20,7 +22,8 @@ _collected = _Collected()
 
 
 def warn_caller(message: str) -> None:
-    """Warn at the line that called this library."""
+    """Warn at the line that called this library; a message of one line, whose names may be anything."""
+    message = shown(message)
     if _collected.messages is None:
         warnings.warn(message, UserWarning, stacklevel=_first_level_outside())
     else:

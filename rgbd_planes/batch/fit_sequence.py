@@ -25,9 +25,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rgbd_planes._core.checks import check_bool, check_num_threads, check_whole
-from rgbd_planes._core.files import alone_in, check_folder_name, naming, write_beside
+from rgbd_planes._core.files import alone_in, check_folder_name, json_of, naming, text_of, write_beside
 from rgbd_planes._core.optional_imports import needs
-from rgbd_planes._core.text import counted
+from rgbd_planes._core.text import counted, shown
 from rgbd_planes._core.threads import num_cores
 from rgbd_planes._core.user_warnings import warn_caller
 from rgbd_planes._core.version import __version__
@@ -93,7 +93,7 @@ class BatchReport:
         lines = in_words(self.problems)
         skipped = [f"; skipped {line}" for line in lines[:_SHOWN]] + ["; ..."] * (len(lines) > _SHOWN)
         done = f"{self.frames - len(self.problems)} of {counted(self.frames, 'frame')}"
-        return f"<BatchReport: {done}, {counted(self.rows, 'row')} in {self.out}{''.join(skipped)}>"
+        return f"<BatchReport: {done}, {counted(self.rows, 'row')} in {shown(self.out)}{''.join(skipped)}>"
 
 
 class Progress(NamedTuple):
@@ -265,20 +265,20 @@ def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, sl
     file = folder / _ABOUT
     if file.is_file():
         try:
-            found = json.loads(file.read_text(encoding="utf-8"))
+            found = json_of(text_of(file))
             size = check_whole("frames_per_part", found.pop("frames_per_part"), 1)
-        except (ValueError, KeyError, AttributeError, TypeError, RecursionError):
-            raise ValueError(f"{file}: damaged; remove {folder} to begin again") from None
+        except (ValueError, KeyError, AttributeError, TypeError):
+            raise ValueError(f"{shown(file)}: damaged; remove {shown(folder)} to begin again") from None
         if found != about:
             different = [name for name in about if found.get(name) != about[name]]
             raise ValueError(
-                f"{folder} holds the table of another sequence, camera, settings or version ({', '.join(different)} "
-                f"differ): remove it, or choose another folder"
+                f"{shown(folder)} holds the table of another sequence, camera, settings or version "
+                f"({', '.join(different)} differ): remove it, or choose another folder"
             )
         unknown = [reason for name, reason in UNKNOWN.items() if about[name] is None]
         if unknown:
             raise ValueError(
-                f"{folder} holds a table that cannot be told from one of another sequence or camera: "
+                f"{shown(folder)} holds a table that cannot be told from one of another sequence or camera: "
                 f"{'; '.join(unknown)}; remove it, or choose another folder"
             )
         for leftover in folder.glob(".part-*"):  # left by a process that was killed while it wrote
@@ -287,11 +287,12 @@ def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, sl
         others = sorted(p for p in folder.iterdir() if p not in parts and not p.name.startswith((".", "_")))
         if others:
             raise ValueError(
-                f"{others[0]}: not part of this table, but readers of the folder would take it for one: move it away"
+                f"{shown(others[0])}: not part of this table, but readers of the folder would take it for one: "
+                "move it away"
             )
         return size
     if any(not path.name.startswith(".") for path in folder.iterdir()):
-        raise ValueError(f"{folder}: expected an empty folder, or a table that was begun earlier")
+        raise ValueError(f"{shown(folder)}: expected an empty folder, or a table that was begun earlier")
     size = _frames_of_part(len(sequence), settings, sequence.camera, slots)
     with write_beside(file) as beside:
         beside.write_text(json.dumps({**about, "frames_per_part": size}, indent=1) + "\n", encoding="utf-8")

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rgbd_planes._core.status import TileStatus
+from rgbd_planes.batch import seal
 from rgbd_planes.fitting.tile_planes import TilePlanes
 from rgbd_planes.kernels.fits import table_columns as row_kernels
 from rgbd_planes.kernels.statistics.tiles.block import P_VALUE, PLANE_COVARIANCE
@@ -139,7 +140,7 @@ class Rows:
     def write(
         self, stream: Any, first: int, names: tuple[str, ...], timestamps: NDArray[np.float64], about: str
     ) -> None:
-        """Write a Parquet file.
+        """Write a Parquet file, which is to be sealed.
 
         Parameters
         ----------
@@ -180,14 +181,17 @@ class Rows:
         # The bits of fits all differ, but a tile's place repeats in every frame.
         compressed = {"frame", "timestamp", *self._place_names}
         with pa.BufferedOutputStream(stream, WRITTEN_AT_ONCE) as buffered:
-            pq.write_table(
-                pa.table(list(columns.values()), pa.schema(fields, {KEY: about})),
+            schema = pa.schema(fields, {KEY: about})
+            with pq.ParquetWriter(
                 buffered,
+                schema,
                 use_dictionary=["name", "status"],
                 compression={name: "snappy" if name in compressed else "none" for name in columns},
                 write_statistics=["frame", "timestamp"],  # the columns that rows are selected by
                 write_batch_size=1 << 16,
-            )
+            ) as file:
+                file.write_table(pa.table(list(columns.values()), schema))
+                file.add_key_value_metadata({seal.FIELD: seal.EMPTY})
 
 
 class _Kept(threading.local):

@@ -1,5 +1,6 @@
 """The work of a worker: some frames of a sequence, fitted and written as a Parquet file."""
 
+import io
 import json
 import re
 import time
@@ -15,6 +16,7 @@ from rgbd_planes._core.checks import check_bool, check_choice, check_max_error, 
 from rgbd_planes._core.files import write_beside
 from rgbd_planes._core.user_warnings import collected_warnings
 from rgbd_planes.batch.fingerprint import files_digest, stamps
+from rgbd_planes.batch.seal import is_sealed, seal
 from rgbd_planes.batch.table import KEY, Columns, Grid, Rows, empty_rows
 from rgbd_planes.camera.camera import Camera, check_camera
 from rgbd_planes.camera.depth_frame import as_depth_frame
@@ -123,6 +125,11 @@ class Part(NamedTuple):
         import pyarrow.parquet
 
         try:
+            if not path.is_file():  # a pipe, say, would be waited for
+                return None
+            with path.open("rb") as file:
+                if not is_sealed(file):
+                    return None
             about = json.loads(pyarrow.parquet.read_schema(path).metadata[KEY])
             return cls(b"", about["status"], tuple(Problem(*p) for p in about["problems"]), about["files"], {}, {})
         except (OSError, pyarrow.ArrowException, KeyError, TypeError, ValueError):
@@ -200,11 +207,16 @@ def fit_part(
     if where is None:
         stream = pyarrow.BufferOutputStream()
         rows.write(stream, first, sequence.names, sequence.timestamps, about)
-        content = stream.getvalue().to_pybytes()
+        written = io.BytesIO(stream.getvalue())
+        seal(written)
+        content = written.getvalue()
     else:
-        # Not a file of Arrow's, whose name would have to be Unicode.
-        with write_beside(where) as beside, open(beside, "wb") as file:
-            rows.write(pyarrow.PythonFile(file), first, sequence.names, sequence.timestamps, about)
+        with write_beside(where) as beside:
+            # Not a file of Arrow's, whose name would have to be Unicode.
+            with open(beside, "wb") as file:
+                rows.write(pyarrow.PythonFile(file), first, sequence.names, sequence.timestamps, about)
+            with open(beside, "r+b") as file:
+                seal(file)
     seconds["write"] = time.perf_counter() - begin
     return Part(content, status, tuple(problems), digest, seconds, warnings)
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes._core.files import naming
+from rgbd_planes._core.text import shown
 from rgbd_planes.camera.camera import Camera, quarter_turns
 from rgbd_planes.camera.depth_frame import DepthFrame, as_depth_frame
 
@@ -68,7 +69,7 @@ class Frame:
 
     def __repr__(self) -> str:
         time = "" if math.isnan(self.timestamp) else f", {self.timestamp:.6f} s"
-        return f"<Frame: {self.name}, {self.camera.width} x {self.camera.height} pixels{time}>"
+        return f"<Frame: {shown(self.name)}, {self.camera.width} x {self.camera.height} pixels{time}>"
 
 
 def depth_of(frame: ArrayLike | Frame, camera: Camera) -> ArrayLike:
@@ -86,8 +87,8 @@ def depth_of(frame: ArrayLike | Frame, camera: Camera) -> ArrayLike:
         units = (own.depth_scale, own.disparity)
         if own._lens != camera._lens or units not in ((None, None), (camera.depth_scale, camera.disparity)):
             raise ValueError(
-                f"expected frames of the camera that is given, got {frame.name}, whose own camera has other intrinsics "
-                "or another unit; if it is the given one's all the same, give frame.depth"
+                f"expected frames of the camera that is given, got {shown(frame.name)}, whose own camera has other "
+                "intrinsics or another unit; if it is the given one's all the same, give frame.depth"
             )
     return frame.depth
 

@@ -9,6 +9,8 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rgbd_planes._core.text import shown
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -119,14 +121,16 @@ def check_outputs(arguments: argparse.Namespace, read: Collection[Path], **suffi
         if path is None:
             continue
         if path.suffix.lower() not in allowed:
-            raise CommandError(f"{path}: expected a name that ends in {' or '.join(allowed)}")
+            raise CommandError(f"{shown(path)}: expected a name that ends in {' or '.join(allowed)}")
         if os.path.realpath(path) in taken:
-            raise CommandError(f"{path}: --{name} would write over another file of this command")
+            raise CommandError(f"{shown(path)}: --{name} would write over another file of this command")
         for place, pattern in inside if path.exists() else ():
             if os.path.realpath(path) in map(os.path.realpath, place.glob(pattern)):
-                raise CommandError(f"{path}: --{name} would write over a file in {place}, which is read")
+                raise CommandError(f"{shown(path)}: --{name} would write over a file in {shown(place)}, which is read")
         if path.suffix.lower() in DEPTH_SUFFIXES and os.path.realpath(path.parent) in beside:
-            raise CommandError(f"{path}: --{name} would be taken for a depth image of {path.parent}, which is read")
+            raise CommandError(
+                f"{shown(path)}: --{name} would be taken for a depth image of {shown(path.parent)}, which is read"
+            )
         taken.add(os.path.realpath(path))
         check_writable(path)
 
@@ -166,7 +170,10 @@ def read_frame(arguments: argparse.Namespace) -> "tuple[NDArray[Any], Camera, in
     if camera.depth_range is not None:
         nearest, farthest = camera.depth_range
         reason += f", the camera's depth_range is {nearest:g} to {farthest:g} m"
-    print(f"rgbd-planes {arguments.command}: {arguments.depth}: no pixel is a measurement: {reason}", file=sys.stderr)
+    print(
+        f"rgbd-planes {arguments.command}: {shown(arguments.depth)}: no pixel is a measurement: {reason}",
+        file=sys.stderr,
+    )
     return depth, camera, 1
 
 
@@ -179,6 +186,9 @@ def add_sequence_options(parser: argparse.ArgumentParser) -> None:
         help="format of the sequence, if it is not recognised: arkitscenes, folder, icl_nuim, mkv, rosbag, scannet, "
         "scannet_sens, seven_scenes, tum",
     )
+    parser.add_argument(
+        "--allow-outside", action="store_true", help="read files outside the folder, too, that its depth.txt names"
+    )
     parser.add_argument("--topic", help="topic of a ROS bag, if several have depth")
 
 
@@ -188,9 +198,9 @@ def read_sequence(arguments: argparse.Namespace, path: Path) -> "FrameSequence":
 
     camera = None if arguments.camera is None else Camera.load(arguments.camera)
     if arguments.topic is None:
-        return open_sequence(path, camera, arguments.format)
+        return open_sequence(path, camera, arguments.format, allow_outside=arguments.allow_outside)
     if arguments.format not in (None, "rosbag"):
-        raise CommandError(f"--topic is for ROS bags, got it with --format {arguments.format}")
+        raise CommandError(f"--topic is for ROS bags, got it with --format {shown(arguments.format)}")
     return sequences.rosbag(path, camera, arguments.topic)
 
 

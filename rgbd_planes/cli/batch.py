@@ -5,7 +5,7 @@ import sys
 from collections import Counter
 from pathlib import Path
 
-from rgbd_planes._core.text import counted, percent
+from rgbd_planes._core.text import counted, percent, shown
 from rgbd_planes.cli.arguments import Run, add_fit_options, add_min_size, add_noise, add_sequence_options, read_sequence
 
 
@@ -64,7 +64,7 @@ def batch(parser: argparse.ArgumentParser) -> Run:
         def progress(done: Progress) -> None:
             for frame, name, reason in done.problems:
                 if reason not in skipped:
-                    line = f"rgbd-planes batch: skipped frame {frame}, {name}: {reason}"
+                    line = f"rgbd-planes batch: skipped frame {frame}, {shown(name)}: {reason}"
                     bar.write(line, file=sys.stderr)
                 skipped[reason] += 1
             bar.update(done.frames)
@@ -93,7 +93,7 @@ def batch(parser: argparse.ArgumentParser) -> Run:
         if total > 0.0:
             shares = ", ".join(f"{work} {percent(seconds / total)}" for work, seconds in report.seconds.items())
             print(f"Of the work: {shares}.")
-        print(f"Wrote {report.out}, a folder that pandas.read_parquet reads as one table.")
+        print(f"Wrote {shown(report.out)}, a folder that pandas.read_parquet reads as one table.")
         for line in in_words(problem for problem in report.problems if skipped[problem.reason] > 1):
             print(line, file=sys.stderr)
         if report.problems:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rgbd_planes._core.text import percent
+from rgbd_planes._core.text import percent, shown
 from rgbd_planes.cli.arguments import Run, describe_tiles, tile_size, write_figure
 
 if TYPE_CHECKING:
@@ -67,10 +67,10 @@ def demo(parser: argparse.ArgumentParser) -> Run:
         write_png(frame_file, depth)
         camera.save(camera_file)
         write_figure(tiles.plot(depth), picture)
-        print(f"See {picture}. The same from the files:")
+        print(f"See {shown(picture)}. The same from the files:")
         size = "x".join(map(str, tiles.tile))
         options = f"--tile {size} --figure planes.png"
-        frame_text, camera_text = (shlex.quote(os.fspath(file)) for file in (frame_file, camera_file))
+        frame_text, camera_text = (shown(shlex.quote(os.fspath(file))) for file in (frame_file, camera_file))
         print(f"  rgbd-planes fit {frame_text} --camera {camera_text} {options}")
 
     return run

@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+from rgbd_planes._core.text import shown
 from rgbd_planes.cli.arguments import (
     FIGURES,
     Run,
@@ -54,10 +55,10 @@ def fit(parser: argparse.ArgumentParser) -> Run:
                 write_json(arguments.out, tiles)
             else:
                 tiles.save(arguments.out)
-            print(f"Wrote {arguments.out}")
+            print(f"Wrote {shown(arguments.out)}")
         if arguments.figure is not None:
             write_figure(tiles.plot(depth), arguments.figure)
-            print(f"Wrote {arguments.figure}")
+            print(f"Wrote {shown(arguments.figure)}")
         return status
 
     return run

@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from itertools import takewhile
 from typing import IO, Any, NoReturn, cast
 
-from rgbd_planes._core.text import one_line
+from rgbd_planes._core.text import one_line, shown
 from rgbd_planes._core.version import __version__
 from rgbd_planes.cli import COMMANDS
 from rgbd_planes.cli.arguments import CommandError
@@ -146,7 +146,7 @@ class _Parser(argparse.ArgumentParser):
         unknown = self._unknown_options()
         if unknown:
             message = f"unrecognized arguments: {', '.join(unknown)}"
-        self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
+        self.exit(2, f"{self.prog}: {shown(message)} (see {self.prog} --help)\n")
 
     def _unknown_options(self) -> list[str]:
         """The given options that do not exist, each with the one that is most like it."""

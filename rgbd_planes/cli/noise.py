@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rgbd_planes._core.files import naming
-from rgbd_planes._core.text import counted
+from rgbd_planes._core.text import counted, shown
 from rgbd_planes.cli.arguments import (
     FIGURES,
     CommandError,
@@ -75,10 +75,10 @@ def noise(parser: argparse.ArgumentParser) -> Run:
         print(f"By it {evidence._rejected()} of the flat tiles have a p-value below 1 %; 1 % should.")
         if arguments.out is not None:
             camera.with_noise(found).save(arguments.out)
-            print(f"Wrote {arguments.out}")
+            print(f"Wrote {shown(arguments.out)}")
         if arguments.figure is not None:
             write_figure(evidence.plot(), arguments.figure)
-            print(f"Wrote {arguments.figure}")
+            print(f"Wrote {shown(arguments.figure)}")
         return 1 if len(frames) < len(spread) else 0
 
     return run
@@ -101,7 +101,7 @@ def _readable(sequence: "FrameSequence", chosen: list[int]) -> "list[Frame]":
             reason = reason_to_skip(error, name)
             if not frames and index == chosen[-1]:
                 raise
-            skipped.append(f"frame {index}, {name}: {reason}")
+            skipped.append(f"frame {index}, {shown(name)}: {reason}")
     for line in skipped:
         print(f"rgbd-planes noise: skipped {line}", file=sys.stderr)
     return frames
@@ -118,7 +118,9 @@ def _sequence(arguments: argparse.Namespace) -> "FrameSequence":
         return read_sequence(arguments, paths[0])
     folder = next((path for path in paths if path.is_dir()), None)
     if folder is not None:
-        raise CommandError(f"expected depth images, or one folder, got {len(paths)} paths with the folder {folder}")
+        raise CommandError(
+            f"expected depth images, or one folder, got {len(paths)} paths with the folder {shown(folder)}"
+        )
     for option in ("format", "topic"):
         if getattr(arguments, option) is not None:
             raise CommandError(f"--{option} is for a data set or a recording, got depth images")

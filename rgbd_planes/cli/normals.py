@@ -4,7 +4,7 @@ import argparse
 import io
 from pathlib import Path
 
-from rgbd_planes._core.text import percent
+from rgbd_planes._core.text import percent, shown
 from rgbd_planes.cli.arguments import FIGURES, Run, add_frame, check_outputs, read_frame, write_figure
 
 
@@ -58,14 +58,14 @@ def normals(parser: argparse.ArgumentParser) -> Run:
             np.save(content, found)
             with write_beside(arguments.out) as beside:
                 beside.write_bytes(content.getbuffer())
-            print(f"Wrote {arguments.out}")
+            print(f"Wrote {shown(arguments.out)}")
         if arguments.figure is not None:
             from rgbd_planes.plotting.normals import plot_normals
 
             curvature = rp.curvature(depth, camera, arguments.window, **options)
             figure = plot_normals(depth, camera, found, curvature, avoid_edges=arguments.avoid_edges)
             write_figure(figure, arguments.figure)
-            print(f"Wrote {arguments.figure}")
+            print(f"Wrote {shown(arguments.figure)}")
         return status
 
     return run

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rgbd_planes._core.text import shown
 from rgbd_planes.cli.arguments import (
     FIGURES,
     CommandError,
@@ -80,7 +81,7 @@ def segment(parser: argparse.ArgumentParser) -> Run:
             write_figure(found.plot(depth), arguments.figure)
         for path in (arguments.out, arguments.labels, arguments.points, arguments.mesh, arguments.figure):
             if path is not None:
-                print(f"Wrote {path}")
+                print(f"Wrote {shown(path)}")
         return status
 
     return run

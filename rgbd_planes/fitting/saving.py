@@ -6,18 +6,18 @@ of the fields without leading underscores, or what a field's metadata says under
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import fields
-from pathlib import Path
-from typing import Any, Self
+from typing import IO, Any, Self
 
 import numpy as np
 import numpy.typing as npt
 from numpy.typing import NDArray
 
 from rgbd_planes._core.checks import check_choice
-from rgbd_planes._core.files import naming, readable, write_beside
+from rgbd_planes._core.files import TooLargeError, existing_file, json_of, naming, readable, write_beside
 from rgbd_planes._core.status import TileStatus
+from rgbd_planes._core.text import shown
 from rgbd_planes._core.user_warnings import collected_warnings
 from rgbd_planes.camera.camera import Camera
 from rgbd_planes.fitting.methods import METHODS
@@ -31,10 +31,49 @@ Arrays = Mapping[str, Any]
 Values = Mapping[str, Any]
 """The fields of a result, by their names."""
 
+# Arrays of a file, in bytes: that much may come of any. Beyond that only of a file that holds something: planes are
+# compressed to a half, and labels to a fiftieth.
+_MOST_UNPACKED, _MOST_RATIO = 2**28, 64
+_LONGEST_ABOUT = 2**27  # four bytes a character
 # Keys that tell the classes of files that do not name them: earlier versions wrote such files.
 _ONLY_IN = {"tile": "TilePlanes", "sigma": "Segmentation"}
 # Public classes that read files.
 _KINDS = {"LabelPlanes", "MergedPlanes", "Segmentation", "TilePlanes", "TileSurfaces", "WindowPlanes"}  # fmt: skip
+
+
+class _Arrays(Mapping[str, Any]):
+    """The arrays of an NPZ file, each of which is read when it is first asked for: others may be anything.
+
+    Raises
+    ------
+    ValueError
+        The whole is too large, and by its compression most likely made to be.
+    """
+
+    def __init__(self, opened: IO[bytes]) -> None:
+        packed = opened.seek(0, os.SEEK_END)
+        opened.seek(0)
+        self._file = np.load(opened, allow_pickle=False)
+        sizes = {member.filename: member.file_size for member in self._file.zip.infolist()}
+        whole = sum(sizes.values())
+        if whole > max(_MOST_UNPACKED, _MOST_RATIO * packed) or sizes.get("about.npy", 0) > _LONGEST_ABOUT:
+            raise TooLargeError(f"expected at most {_MOST_UNPACKED >> 20} MiB from {packed} bytes, got {whole} bytes")
+        self._read: dict[str, NDArray[Any]] = {}
+
+    def about(self) -> Any:
+        """The file's JSON."""
+        return json_of(str(self._file["about"]))
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        if name not in self._read:
+            self._read[name] = np.ascontiguousarray(self._file[name])
+        return self._read[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._file)
+
+    def __len__(self) -> int:
+        return len(self._file)
 
 
 class Savable:
@@ -75,22 +114,22 @@ class Savable:
             There is none, or it is another file, of a newer version, or damaged.
         """
         expected = f"a file that {cls.__name__}.save wrote"
-        with Path(path).open("rb") as opened, readable(path, expected):
-            if opened.read(2) != b"PK":  # NumPy would take it for a pickle, and say how to load one
-                raise ValueError("not an NPZ file")
-            opened.seek(0)
-            with np.load(opened, allow_pickle=False) as file:
-                arrays = {name: np.ascontiguousarray(file[name]) for name in file.files}
-                about = json.loads(str(file["about"]))
-            held, newer = _kind_of(about), _unknown_keys(about)
-        with naming(path):
-            if held not in (None, cls._kind()):
-                raise ValueError(f"expected {expected}, got one that holds {held}: {_reader_of(held)}")
-            if newer:
-                raise ValueError(f"expected {expected}, got one of a newer version: it has {', '.join(newer)}, too")
-        # The camera's warnings were issued when it was made: they are not repeated.
-        with readable(path, expected), collected_warnings([]):
-            return cls(**cls._checked(_values(cls, about, arrays)))
+        with existing_file(path).open("rb") as opened:
+            with readable(path, expected):
+                if opened.read(2) != b"PK":  # NumPy would take it for a pickle, and say how to load one
+                    raise ValueError("not an NPZ file")
+                arrays = _Arrays(opened)
+                about = arrays.about()
+                held, newer = _kind_of(about), _unknown_keys(about)
+            with naming(path):
+                if held not in (None, cls._kind()):
+                    raise ValueError(f"expected {expected}, got one that holds {shown(held)}: {_reader_of(held)}")
+                if newer:
+                    names = ", ".join(map(shown, newer))
+                    raise ValueError(f"expected {expected}, got one of a newer version: it has {names}, too")
+            # The camera's warnings were issued when it was made: they are not repeated.
+            with readable(path, expected), collected_warnings([]):
+                return cls(**cls._checked(_values(cls, about, arrays)))
 
 
 def _saved_fields(result: Any) -> list[tuple[str, str]]:

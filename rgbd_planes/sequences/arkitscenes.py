@@ -5,6 +5,8 @@ import math
 import os
 from pathlib import Path
 
+from rgbd_planes._core.files import text_of
+from rgbd_planes._core.text import shown
 from rgbd_planes.camera.camera import Camera
 from rgbd_planes.sequences.frames import FrameEntry, FrameSequence, existing_folder, numbered, some
 from rgbd_planes.sequences.images import read_depth
@@ -71,7 +73,8 @@ class _Calibrations:
         best = min(range(max(0, near - 1), min(near + 1, len(self._times))), key=lambda i: abs(self._times[i] - time))
         if abs(self._times[best] - time) > _SAME_MOMENT:
             raise ValueError(
-                f"{wanted_by}: expected a calibration of its moment, the nearest is {self._files[best].name}"
+                f"{shown(wanted_by)}: expected a calibration of its moment, "
+                f"the nearest is {shown(self._files[best].name)}"
             )
         camera = _read_pincam(self._files[best])
         return self._made.setdefault(camera, camera)
@@ -79,12 +82,12 @@ class _Calibrations:
 
 def _read_pincam(file: Path) -> Camera:
     try:
-        width, height, fx, fy, cx, cy = map(float, file.read_text(encoding="utf-8-sig").split())
+        width, height, fx, fy, cx, cy = map(float, text_of(file).split())
         if not (width.is_integer() and height.is_integer()):
             raise ValueError(f"got {width:g} x {height:g} pixels")
         return Camera(int(width), int(height), fx, fy, cx, cy, depth_scale=1000.0)
     except ValueError as error:
-        raise ValueError(f"{file}: expected one line, width height fx fy cx cy: {error}") from None
+        raise ValueError(f"{shown(file)}: expected one line, width height fx fy cx cy: {error}") from None
 
 
 def _seconds(file: Path) -> float:
@@ -93,5 +96,5 @@ def _seconds(file: Path) -> float:
     except ValueError:
         seconds = math.nan
     if not math.isfinite(seconds):
-        raise ValueError(f"{file}: expected a name such as 41048190_3414.453{file.suffix}")
+        raise ValueError(f"{shown(file)}: expected a name such as 41048190_3414.453{file.suffix}")
     return seconds

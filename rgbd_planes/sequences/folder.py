@@ -2,6 +2,7 @@
 
 import os
 
+from rgbd_planes._core.text import shown
 from rgbd_planes.camera import presets
 from rgbd_planes.camera.camera import Camera
 from rgbd_planes.sequences.frames import FrameSequence, existing_folder, image_sequence, numbered, some
@@ -10,7 +11,7 @@ from rgbd_planes.sequences.poses import beside, poses_of_files, poses_of_traject
 from rgbd_planes.sequences.tum import read_index
 
 
-def folder(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameSequence:
+def folder(path: str | os.PathLike[str], camera: Camera | None = None, *, allow_outside: bool = False) -> FrameSequence:
     """Open a folder of depth images.
 
     Parameters
@@ -20,6 +21,8 @@ def folder(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameS
         "seconds file" of a ``depth.txt``. Where some names contain "depth", as beside images of colour, those images.
     camera : Camera, optional
         Read from ``camera.json`` in the folder, if not given.
+    allow_outside : bool
+        Whether ``depth.txt`` may name files outside the folder, by ``..`` or a path from the root.
 
     Returns
     -------
@@ -37,12 +40,12 @@ def folder(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameS
     if camera is None:
         if not (root / "camera.json").is_file():
             raise ValueError(
-                f"{root}: expected a camera, or its file camera.json in the folder (Camera.save writes one)"
+                f"{shown(root)}: expected a camera, or its file camera.json in the folder (Camera.save writes one)"
             )
         camera = Camera.load(root / "camera.json")
     index = root / "depth.txt"
     if index.is_file():
-        times, files = read_index(index)
+        times, files = read_index(index, allow_outside)
         truth = root / "groundtruth.txt"
         track = poses_of_trajectory(truth, times, quaternion_line) if truth.is_file() else poses_of_files(beside(files))
         return image_sequence(files, camera, root, times, track)

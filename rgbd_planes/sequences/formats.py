@@ -4,7 +4,8 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from rgbd_planes._core.checks import check_choice
+from rgbd_planes._core.checks import check_bool, check_choice
+from rgbd_planes._core.text import shown
 from rgbd_planes.camera.camera import Camera, check_camera
 from rgbd_planes.sequences.arkitscenes import arkitscenes
 from rgbd_planes.sequences.folder import folder, seven_scenes
@@ -27,6 +28,7 @@ FORMATS: dict[str, Callable[..., FrameSequence]] = {
     "tum": tum,
 }
 
+_WITH_LISTS = ("folder", "tum")
 _NAMED = 5  # files that are named of a folder of no known format
 # What a folder of each format contains, in the order in which it is looked for.
 _SIGNS = {
@@ -41,7 +43,11 @@ _SIGNS = {
 
 
 def open_sequence(
-    path: str | os.PathLike[str], camera: Camera | None = None, format: str | None = None
+    path: str | os.PathLike[str],
+    camera: Camera | None = None,
+    format: str | None = None,
+    *,
+    allow_outside: bool = False,
 ) -> FrameSequence:
     """Open a data set or a recording of any of the formats.
 
@@ -53,6 +59,9 @@ def open_sequence(
     format : str, optional
         One of `FORMATS`, where the contents could be taken for another. A folder with a ``camera.json`` is
         taken for a plain ``folder``.
+    allow_outside : bool
+        Whether the ``depth.txt`` of a folder may name files outside it, by ``..`` or a path from the root. A list from
+        elsewhere could have any file read.
 
     Returns
     -------
@@ -73,10 +82,12 @@ def open_sequence(
         check_camera(camera)
     place = Path(path)
     if not place.exists():
-        raise FileNotFoundError(f"{path}: there is no such file or folder")
+        raise FileNotFoundError(f"{shown(path)}: there is no such file or folder")
     if format is None:
         format = _recognise(place, camera is not None)
     check_choice("format", format, tuple(FORMATS))
+    if check_bool("allow_outside", allow_outside) and format in _WITH_LISTS:
+        return FORMATS[format](place, camera, allow_outside=True)
     return FORMATS[format](place, camera)
 
 
@@ -86,7 +97,7 @@ def _recognise(path: Path, has_camera: bool) -> str:
         if suffix in RECORDINGS:
             return RECORDINGS[suffix]
         *others, last = RECORDINGS
-        raise ValueError(f"{path}: expected a folder, or a {', '.join(others)} or {last} file")
+        raise ValueError(f"{shown(path)}: expected a folder, or a {', '.join(others)} or {last} file")
     existing_folder(path)
     for sign, format in _SIGNS.items():
         if any(path.glob(sign)):
@@ -98,9 +109,9 @@ def _recognise(path: Path, has_camera: bool) -> str:
     if any(file.suffix in (".mcap", ".db3") for file in path.iterdir()):  # its metadata.yaml is missing
         return "rosbag"
     signs = ", ".join(f"{sign} ({format})" for sign, format in _SIGNS.items())
-    names = [file.name for file in numbered(path.iterdir())]
+    names = [shown(file.name) for file in numbered(path.iterdir())]
     found = ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
     raise ValueError(
-        f"{path}: of no known format: expected {signs} or depth.txt (tum) in it, found {found or 'nothing'}; "
+        f"{shown(path)}: of no known format: expected {signs} or depth.txt (tum) in it, found {found or 'nothing'}; "
         "for a plain folder of depth images give the camera, or put its camera.json there"
     )

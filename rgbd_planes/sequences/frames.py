@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rgbd_planes._core.checks import each_of, number
-from rgbd_planes._core.text import counted
+from rgbd_planes._core.text import counted, shown
 from rgbd_planes.camera.camera import Camera, check_camera
 from rgbd_planes.camera.frame import Frame
 from rgbd_planes.noise.model import NoiseModel
@@ -128,7 +128,7 @@ class FrameSequence(Sequence[Frame]):
         cameras = len(self.cameras)
         of = f"{cameras} cameras" if cameras > 1 else f"{self.camera.width} x {self.camera.height} pixels"
         frames = counted(len(self), "frame")
-        return f"<FrameSequence: {frames}, {of}, {self.entries[0].name} to {self.entries[-1].name}>"
+        return f"<FrameSequence: {frames}, {of}, {shown(self.entries[0].name)} to {shown(self.entries[-1].name)}>"
 
 
 def image_sequence(
@@ -190,14 +190,14 @@ def existing_folder(path: Any) -> Path:
     """The absolute path, if it is a folder: frames are read later, perhaps by other processes."""
     folder = Path(path).absolute()
     if not folder.is_dir():
-        raise NotADirectoryError(f"{path}: expected a folder")
+        raise NotADirectoryError(f"{shown(path)}: expected a folder")
     if not os.access(folder, os.R_OK | os.X_OK):
-        raise PermissionError(f"{path}: permission denied")
+        raise PermissionError(f"{shown(path)}: permission denied")
     return folder
 
 
 def some(paths: list[Path], expected: str, root: Path) -> list[Path]:
     """The paths, if there are any."""
     if not paths:
-        raise ValueError(f"{root}: expected {expected}, found none")
+        raise ValueError(f"{shown(root)}: expected {expected}, found none")
     return paths

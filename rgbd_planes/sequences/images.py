@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes._core.checks import check_choice, plain_array
-from rgbd_planes._core.files import damage, existing_file, write_beside
+from rgbd_planes._core.files import TooLargeError, check_pixels, damage, existing_file, naming, write_beside
+from rgbd_planes._core.text import shown
 from rgbd_planes.camera.camera import FLIPS, quarter_turns
 
 Frame = NDArray[Any]
@@ -45,21 +46,23 @@ def read_depth(path: str | os.PathLike[str]) -> Frame:
         image of one channel, or holds numbers of another kind.
     """
     if Path(path).is_dir():
-        raise ValueError(f"{path}: expected one depth image, got a folder (`rgbd-planes batch` takes folders)")
+        raise ValueError(f"{shown(path)}: expected one depth image, got a folder (`rgbd-planes batch` takes folders)")
     file = existing_file(path)
     reader = _READERS.get(file.suffix.lower())
     if file.suffix.lower() in RECORDINGS:
-        raise ValueError(f"{path}: expected one depth image, got a recording (`rgbd-planes batch` takes recordings)")
+        raise ValueError(
+            f"{shown(path)}: expected one depth image, got a recording (`rgbd-planes batch` takes recordings)"
+        )
     if reader is None:
         raise ValueError(
-            f"{path}: a depth image must be one of {', '.join(_READERS)}, got {file.suffix!r}: "
+            f"{shown(path)}: a depth image must be one of {', '.join(_READERS)}, got {file.suffix!r}: "
             "read other formats with another library and write them with numpy.save"
         )
     frame = reader(file)
     if frame.ndim != 2 or 0 in frame.shape:
-        raise ValueError(f"{path}: expected one depth image (height, width), got shape {frame.shape}")
+        raise ValueError(f"{shown(path)}: expected one depth image (height, width), got shape {frame.shape}")
     if frame.dtype.kind not in "uif":
-        raise ValueError(f"{path}: expected a depth image of integers or floats, got dtype {frame.dtype}")
+        raise ValueError(f"{shown(path)}: expected a depth image of integers or floats, got dtype {frame.dtype}")
     return frame
 
 
@@ -78,7 +81,7 @@ def write_png(path: str | os.PathLike[str], image: Frame) -> None:
     from PIL import Image
 
     if Path(path).suffix.lower() != ".png":
-        raise ValueError(f"{path}: expected a path that ends in .png")
+        raise ValueError(f"{shown(path)}: expected a path that ends in .png")
     image = plain_array("image", image)
     native = image.dtype.newbyteorder("=")
     if image.ndim != 2 or not image.size or native not in (np.uint8, np.uint16):
@@ -140,10 +143,11 @@ def _image(frame: ArrayLike) -> Frame:
 
 
 def check_png_size(image: Any, size: int) -> None:
-    """Raise a ValueError if an open PNG image of so many bytes cannot have its pixels: they would take memory.
+    """Raise a ValueError if an open PNG image of so many bytes has too many pixels, or cannot have them.
 
     Its compression makes at most 1032 bytes of one, and a byte has at most 8 pixels.
     """
+    check_pixels(image.width, image.height)
     if image.width * image.height > 8 * 1032 * size:
         raise ValueError(f"{size} bytes for {image.width} x {image.height} pixels")
 
@@ -194,6 +198,7 @@ def _read_with_pillow(path: Path, file_format: str) -> Frame:
         with Image.open(path, formats=[file_format]) as image:
             if file_format == "PNG":
                 check_png_size(image, path.stat().st_size)
+            check_pixels(image.width, image.height)
             mode, count = image.mode, getattr(image, "n_frames", 1)
             codec, stored_as = _encoding(image)
             tags = getattr(image, "tag_v2", {})
@@ -216,24 +221,27 @@ def _read_with_pillow(path: Path, file_format: str) -> Frame:
         kind = _unread_kind(path) if file_format == "TIFF" else None
         if kind is not None:
             raise ValueError(
-                f"{path}: a TIFF image of {kind}, which Pillow does not read: save float32 or uint16, or NPY"
+                f"{shown(path)}: a TIFF image of {kind}, which Pillow does not read: save float32 or uint16, or NPY"
             ) from None
-        raise ValueError(f"{path}: not a {file_format} image, or damaged") from None
+        raise ValueError(f"{shown(path)}: not a {file_format} image, or damaged") from None
+    except TooLargeError as error:
+        raise ValueError(f"{shown(path)}: {error}") from None
     except Exception as error:  # many kinds come out of Pillow for files that end early or hold nonsense
-        raise damage(f"{path}: damaged or truncated {file_format} image", error) from error
+        raise damage(f"{shown(path)}: damaged or truncated {file_format} image", error) from error
     if swapped is not None:
         raise ValueError(
-            f"{path}: a compressed TIFF image of big-endian {swapped}, which Pillow misreads: "
+            f"{shown(path)}: a compressed TIFF image of big-endian {swapped}, which Pillow misreads: "
             "save it little-endian or uncompressed, or NPY"
         )
     if turned:
         raise ValueError(
-            f"{path}: a TIFF image that is to be turned or mirrored (Orientation {tags[_ORIENTATION]}): save it upright"
+            f"{shown(path)}: a TIFF image that is to be turned or mirrored (Orientation {tags[_ORIENTATION]}): "
+            "save it upright"
         )
     if frame is None:
         reason = f"{count} images" if count != 1 else f"a colour, palette or black-and-white image (mode {mode})"
         labels = ": if its colours are labels, numpy.asarray(PIL.Image.open(path)) has them" if mode == "P" else ""
-        raise ValueError(f"{path}: expected one depth image of one channel, got {reason}{labels}")
+        raise ValueError(f"{shown(path)}: expected one depth image of one channel, got {reason}{labels}")
     if file_format == "PNG" and mode == "I":  # how some versions of Pillow open 16 bits
         frame = frame.astype(np.uint16)
     return frame
@@ -247,73 +255,98 @@ def _encoding(image: Any) -> tuple[str, str]:
     return codec, arguments if isinstance(arguments, str) else str(arguments[0])
 
 
+_LONGEST_HEADER = 1 << 16  # bytes, comments included
+_PART_OF_TEXT = 1 << 20
 # No side of an image has more digits, and Python makes no number of thousands of them.
 _PGM_HEADER = re.compile(rb"P([25])" + rb"(?:\s|#[^\n]*\n)+(\d{1,9})" * 3 + rb"\s")
 
 
 def _read_pgm(path: Path) -> Frame:
     # Not with Pillow, which stretches values to the full range when the largest is not 255 or 65535.
-    content = path.read_bytes()
-    header = _PGM_HEADER.match(content)
-    if header is None:
-        raise ValueError(f"{path}: not a PGM image (P5 or P2), or damaged")
-    width, height, largest = (int(number) for number in header.groups()[1:])
-    if not 0 < largest < 65536:
-        raise ValueError(f"{path}: expected a largest value of 1 to 65535 in the PGM header, got {largest}")
-    dtype = np.dtype(np.uint8 if largest < 256 else np.uint16)
-    if header[1] == b"5":
-        values = _pixels(content, header.end(), dtype.newbyteorder(">"), height * width)
-    else:
-        try:
-            values = np.array(content[header.end() :].split(), dtype=dtype)
-        except (ValueError, OverflowError):
-            most = 255 if largest < 256 else 65535
-            raise ValueError(f"{path}: expected numbers from 0 to {most} in the PGM image") from None
+    with path.open("rb") as file:
+        header = _PGM_HEADER.match(file.read(_LONGEST_HEADER))
+        if header is None:
+            raise ValueError(f"{shown(path)}: not a PGM image (P5 or P2), or damaged")
+        width, height, largest = (int(number) for number in header.groups()[1:])
+        if not 0 < largest < 65536:
+            raise ValueError(f"{shown(path)}: expected a largest value of 1 to 65535 in the PGM header, got {largest}")
+        with naming(path):
+            check_pixels(width, height)
+        dtype = np.dtype(np.uint8 if largest < 256 else np.uint16)
+        if header[1] == b"5":
+            values = _pixels(file, header.end(), dtype.newbyteorder(">"), height * width)
+        else:
+            file.seek(header.end())
+            try:
+                values = _numbers(file, dtype, height * width)
+            except (ValueError, OverflowError):
+                most = 255 if largest < 256 else 65535
+                raise ValueError(f"{shown(path)}: expected numbers from 0 to {most} in the PGM image") from None
     return _rows(path, "PGM", values, height, width).astype(dtype)
+
+
+def _numbers(file: IO[bytes], dtype: np.dtype[Any], count: int) -> Frame:
+    """The numbers of a text, as many as there are, up to a count: a part after the other, as they take memory."""
+    values, found, rest = [np.empty(0, dtype)], 0, b""
+    while found < count and (text := file.read(_PART_OF_TEXT)):
+        *words, rest = re.split(rb"\s+", rest + text)
+        if len(rest) > _PART_OF_TEXT:
+            raise ValueError
+        values.append(np.array([word for word in words if word], dtype))
+        found += len(values[-1])
+    if found < count and rest:
+        values.append(np.array([rest], dtype))
+    return np.concatenate(values)
 
 
 _PFM_HEADER = re.compile(rb"P([Ff])\s+(\d{1,9})\s+(\d{1,9})\s+([-+.\deE]+)\s")
 
 
 def _read_pfm(path: Path) -> Frame:
-    content = path.read_bytes()
-    header = _PFM_HEADER.match(content)
-    if header is None:
-        raise ValueError(f"{path}: not a PFM image, or damaged")
-    kind, width, height, scale = header[1], int(header[2]), int(header[3]), header[4]
-    if kind == b"F":
-        raise ValueError(f"{path}: expected one depth image of one channel, got a colour image (PF)")
-    # The scale is for display; its sign tells the byte order.
-    values = _pixels(content, header.end(), np.dtype("<f4" if scale.startswith(b"-") else ">f4"), height * width)
+    with path.open("rb") as file:
+        header = _PFM_HEADER.match(file.read(_LONGEST_HEADER))
+        if header is None:
+            raise ValueError(f"{shown(path)}: not a PFM image, or damaged")
+        kind, width, height, scale = header[1], int(header[2]), int(header[3]), header[4]
+        if kind == b"F":
+            raise ValueError(f"{shown(path)}: expected one depth image of one channel, got a colour image (PF)")
+        with naming(path):
+            check_pixels(width, height)
+        # The scale is for display; its sign tells the byte order.
+        values = _pixels(file, header.end(), np.dtype("<f4" if scale.startswith(b"-") else ">f4"), height * width)
     return _rows(path, "PFM", values, height, width)[::-1].astype(np.float32)  # the lowest row comes first
 
 
-def _pixels(content: bytes, start: int, dtype: np.dtype[Any], count: int) -> Frame:
+def _pixels(file: IO[bytes], start: int, dtype: np.dtype[Any], count: int) -> Frame:
     """The numbers after a header, as many as there are, up to a count."""
     # One character ends the header. If it is the first of a Windows line ending, there is a byte too many.
-    if content[start - 1 : start + 1] == b"\r\n" and len(content) - start > count * dtype.itemsize:
-        start += 1
-    return np.frombuffer(content, dtype, min(count, (len(content) - start) // dtype.itemsize), start)
+    file.seek(start - 1)
+    content = file.read(count * dtype.itemsize + 2)
+    first = 2 if content.startswith(b"\r\n") and len(content) == count * dtype.itemsize + 2 else 1
+    return np.frombuffer(content, dtype, min(count, (len(content) - first) // dtype.itemsize), first)
 
 
 def _rows(path: Path, kind: str, values: Frame, height: int, width: int) -> Frame:
     """The image made of the first numbers, if there are enough."""
     if len(values) < height * width:
-        raise ValueError(f"{path}: truncated {kind} image: {len(values)} of {height * width} pixels")
+        raise ValueError(f"{shown(path)}: truncated {kind} image: {len(values)} of {height * width} pixels")
     return values[: height * width].reshape(height, width)
 
 
 _NPY = b"\x93NUMPY"  # how an array begins
+_NAMED = 5  # arrays of a file that has several
 
 
 def _read_npy(path: Path) -> Frame:
     with path.open("rb") as file:
         if file.read(len(_NPY)) != _NPY:
-            raise ValueError(f"{path}: not an NPY file")
+            raise ValueError(f"{shown(path)}: not an NPY file")
         try:
             return _array(file, path.stat().st_size)
+        except TooLargeError as error:
+            raise ValueError(f"{shown(path)}: {error}") from None
         except Exception as error:  # also from parsing the header, which is Python text
-            raise damage(f"{path}: damaged or truncated NPY file", error) from error
+            raise damage(f"{shown(path)}: damaged or truncated NPY file", error) from error
 
 
 def _read_npz(path: Path) -> Frame:
@@ -324,11 +357,14 @@ def _read_npz(path: Path) -> Frame:
                 with archive.open(members[0]) as file:
                     if file.read(len(_NPY)) == _NPY:
                         return _array(file, members[0].file_size)
+    except TooLargeError as error:
+        raise ValueError(f"{shown(path)}: {error}") from None
     except Exception as error:  # from the archive, its compression, or the array
-        raise damage(f"{path}: damaged or truncated NPZ file", error) from error
-    names = ", ".join(member.filename.removesuffix(".npy") for member in members)
+        raise damage(f"{shown(path)}: damaged or truncated NPZ file", error) from error
+    names = ", ".join(shown(member.filename.removesuffix(".npy")) for member in members[:_NAMED])
+    names += ", ..." if len(members) > _NAMED else ""
     found = f"{names}, which is none" if len(members) == 1 else f"{len(members)}{names and ': '}{names}"
-    raise ValueError(f"{path}: expected an NPZ file with one array, got {found}")
+    raise ValueError(f"{shown(path)}: expected an NPZ file with one array, got {found}")
 
 
 def _array(file: IO[bytes], size: int) -> Frame:
@@ -344,8 +380,14 @@ def _array(file: IO[bytes], size: int) -> Frame:
     # There would be no memory for nonsense in a header, as for a good frame when memory is short.
     if not dtype.hasobject and math.prod(shape) * dtype.itemsize > size - file.tell():
         raise ValueError(f"{size} bytes for an array of shape {shape} of {dtype}")
-    file.seek(0)
-    array = np.asarray(formats.read_array(file, allow_pickle=False))
+    if dtype.kind in "uif":
+        check_pixels(math.prod(shape), 1)
+        file.seek(0)
+        array = np.asarray(formats.read_array(file, allow_pickle=False))
+    elif dtype.hasobject:
+        raise ValueError("it holds Python objects")
+    else:  # no depth image: its shape and dtype say enough
+        array = np.broadcast_to(np.zeros((), dtype), shape)
     while array.ndim > 2 and 1 in (array.shape[0], array.shape[-1]):
         array = array[..., 0] if array.shape[-1] == 1 else array[0]
     return array

@@ -1,6 +1,5 @@
 """Matroska recordings of depth, as the Azure Kinect and its successors make them, read by PyAV."""
 
-import json
 import os
 from contextlib import suppress
 from pathlib import Path
@@ -9,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rgbd_planes._core.files import existing_file, identity, naming, readable
+from rgbd_planes._core.files import MOST_PIXELS, check_pixels, existing_file, identity, json_of, naming, readable
 from rgbd_planes._core.optional_imports import needs
-from rgbd_planes._core.text import counted
+from rgbd_planes._core.text import counted, shown
 from rgbd_planes._core.user_warnings import warn_caller
 from rgbd_planes.camera.camera import Camera
 from rgbd_planes.sequences.frames import FrameEntry, FrameSequence, kept_open
@@ -65,10 +64,12 @@ def mkv(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameSequ
     finally:
         recording.close()
     if not entries:
-        raise ValueError(f"{path}: expected depth frames, found none")
+        raise ValueError(f"{shown(path)}: expected depth frames, found none")
     if missing := _missing_bytes(source):
         left = counted(len(entries), "frame")
-        warn_caller(f"{path}: the recording lacks its last {counted(missing, 'byte')}: its first {left} can be read")
+        warn_caller(
+            f"{shown(path)}: the recording lacks its last {counted(missing, 'byte')}: its first {left} can be read"
+        )
     return FrameSequence(entries, _read_frame)
 
 
@@ -103,16 +104,23 @@ class _OpenRecording:
             import av
         self.path, self.identity = path, identity(path)
         with readable(path, _RECORDING):
-            self._container = av.open(str(path))
+            with path.open("rb") as file:
+                if file.read(4) != _EBML:
+                    raise ValueError("another format")
+            # Of that format only: any other might be a list of files and of places in the net.
+            self._container = av.open(str(path), format="matroska")
             tracks = [s for s in self._container.streams.video if s.codec_context is not None and s.time_base]
             grey = [s for s in tracks if str(s.codec_context.pix_fmt).startswith("gray16")]
             named = [stream for stream in grey if stream.metadata.get("title") == _TRACK]
         if len(named or grey) != 1:
             self.close()
             raise ValueError(
-                f"{path}: expected a track named {_TRACK}, or one track alone, of 16-bit grey, got {len(grey)}"
+                f"{shown(path)}: expected a track named {_TRACK}, or one track alone, of 16-bit grey, got {len(grey)}"
             )
         (self._stream,) = named or grey
+        with naming(path):
+            check_pixels(self._stream.codec_context.width, self._stream.codec_context.height)
+        self._stream.codec_context.options = {"max_pixels": str(MOST_PIXELS)}  # frames may differ from the header
         # A forked child would wait for ever for the end of a decoder's threads, which it does not have.
         self._stream.codec_context.thread_count = 1
         assert self._stream.time_base is not None  # it is not None for any of these tracks
@@ -132,7 +140,7 @@ class _OpenRecording:
         if found:
             size = self._stream.codec_context.width, self._stream.codec_context.height
             return _depth_camera(found[0], size, self.path)
-        raise ValueError(f"{self.path}: expected {_CALIBRATION} attached to the recording, or a camera")
+        raise ValueError(f"{shown(self.path)}: expected {_CALIBRATION} attached to the recording, or a camera")
 
     def times(self) -> list[tuple[float, int]]:
         """(seconds, units of the track) of each frame, in order."""
@@ -149,7 +157,7 @@ class _OpenRecording:
                     return np.asarray(frame.to_ndarray()).astype(np.uint16)
                 if frame.pts is not None and frame.pts > time:
                     break
-        raise ValueError(f"{self.path}: the frame of {float(time * self._unit):.6f} s is gone")
+        raise ValueError(f"{shown(self.path)}: the frame of {float(time * self._unit):.6f} s is gone")
 
 
 _open = kept_open()
@@ -167,15 +175,15 @@ def _depth_camera(content: bytes, size: tuple[int, int], path: Path) -> Camera:
     """The camera of an Azure Kinect's calibration, which is for the whole sensor and in units of its sides."""
     if size not in _MODES:
         known = ", ".join(f"{width} x {height}" for width, height in _MODES)
-        raise ValueError(f"{path}: expected depth of {known}, or a camera, got {size[0]} x {size[1]}")
+        raise ValueError(f"{shown(path)}: expected depth of {known}, or a camera, got {size[0]} x {size[1]}")
     side, left, top = _MODES[size]
     try:
-        cameras = json.loads(content)["CalibrationInformation"]["Cameras"]
+        cameras = json_of(content.decode("utf-8-sig"))["CalibrationInformation"]["Cameras"]
         (found,) = (one for one in cameras if one["Purpose"] == "CALIBRATION_CameraPurposeDepth")
         values = [float(value) for value in found["Intrinsics"]["ModelParameters"]]
         cx, cy, fx, fy, k1, k2, k3, k4, k5, k6, _, _, p2, p1 = values[:14]
     except (KeyError, OverflowError, RecursionError, TypeError, ValueError) as error:
-        raise ValueError(f"{path}: cannot read the calibration that is attached ({error!r})") from None
+        raise ValueError(f"{shown(path)}: cannot read the calibration that is attached ({error!r})") from None
     with naming(path):
         return Camera(
             *size,

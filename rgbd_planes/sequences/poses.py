@@ -11,14 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rgbd_planes._core.arrays import Floats
+from rgbd_planes._core.files import text_of
 from rgbd_planes._core.rotations import as_motion
-from rgbd_planes._core.text import counted, reason_of
+from rgbd_planes._core.text import counted, reason_of, shown
 from rgbd_planes._core.user_warnings import warn_caller
 
 Pose = NDArray[np.float64]
 
 _LONGEST_GAP = 0.15  # s between neighbours in a trajectory, of which there are 10 a second or more
 _SAME_MOMENT = 0.02  # s: before the first line and after the last, as the TUM benchmark's own tools associate
+_MOST_LINES = 2**20  # 3 hours at 100 a second; each takes half a kilobyte of memory
 _LARGEST_FILE = 2**16  # bytes; a matrix has a few hundred
 
 
@@ -141,7 +143,10 @@ def _lines(
 
     found: dict[float, tuple[list[float], list[float]]] = {}
     wrong: list[str] = []
-    for number, line in enumerate(file.read_text(encoding="utf-8-sig", errors="replace").splitlines(), start=1):
+    lines = text_of(file, errors="replace").splitlines()
+    if len(lines) > _MOST_LINES:
+        raise ValueError(f"{shown(file)}: expected at most {_MOST_LINES} lines, got {len(lines)}")
+    for number, line in enumerate(lines, start=1):
         words = re.split(r"[\s,]+", line.partition("#")[0].strip())
         if words == [""]:
             continue

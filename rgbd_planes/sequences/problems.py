@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from rgbd_planes._core.files import MissingFolderError
-from rgbd_planes._core.text import ranges, reason_of
+from rgbd_planes._core.text import ranges, reason_of, shown
 
 # What the system says where nothing is wrong with a file: files or memory are short, or a disk, near or far, does not
 # answer. Not every system knows all of them.
@@ -42,7 +42,7 @@ def in_words(problems: Iterable[Problem]) -> list[str]:
     for problem in problems:
         frames.setdefault(problem.reason, []).append(problem)
     return [
-        f"frame {some[0].frame}, {some[0].name}: {reason}"
+        f"frame {some[0].frame}, {shown(some[0].name)}: {reason}"
         if len(some) == 1
         else f"{len(some)} frames, {ranges([problem.frame for problem in some])}: {reason}"
         for reason, some in frames.items()
@@ -66,5 +66,5 @@ def reason_to_skip(error: Exception, name: str) -> str:
             raise cause
         cause = cause.__cause__ or cause.__context__
     text = reason_of(error)
-    folder, _, rest = text.partition(f"{name}: ")  # the name is given beside it
+    folder, _, rest = text.partition(f"{shown(name)}: ")  # the name is given beside it
     return rest if rest and folder[-1:] in ("", "/") else text

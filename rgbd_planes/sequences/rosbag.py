@@ -1,13 +1,17 @@
 """ROS 1 and ROS 2 bags, read by rosbags: no ROS needed. RealSense recordings are ROS 1 bags."""
 
 import atexit
+import bz2
 import io
 import math
 import os
 import re
+import sqlite3
 import struct
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import closing, suppress
+from functools import partial
+from importlib import import_module
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,12 +19,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rgbd_planes._core.files import damage, existing_file, identity, naming, readable
+from rgbd_planes._core.files import TooLargeError, damage, existing_file, identity, naming, readable
 from rgbd_planes._core.optional_imports import needs
+from rgbd_planes._core.text import shown
 from rgbd_planes.camera.calibrations.systems import depth_scale_of
 from rgbd_planes.camera.camera import Camera
 from rgbd_planes.sequences.frames import FrameEntry, FrameSequence, kept_open
 from rgbd_planes.sequences.images import check_png_size
+from rgbd_planes.sequences.unpacking import check_chunk, unpacked
 
 _BAG = "a ROS bag"
 _IMAGES = "sensor_msgs/msg/Image"
@@ -29,6 +35,8 @@ _INFOS = "sensor_msgs/msg/CameraInfo"
 _GREY = "mono16"  # infrared images have it, too
 _ENCODINGS = {"16UC1": "u2", _GREY: "u2", "32FC1": "f4"}
 
+_BEFORE_CHUNK = 49  # bytes of an MCAP file, from the record of a chunk to its data, but for the compression's name
+_LONGEST_ABOUT = 2**22  # bytes of a metadata.yaml
 _TRIED = 10  # messages of a topic, until one is whole
 
 # What saves a recording that was cut off, as by a power cut, by the suffix of its files.
@@ -72,8 +80,12 @@ def rosbag(path: str | os.PathLike[str], camera: Camera | None = None, topic: st
             topic = named[0]
         if topic not in topics:
             asked = "expected the topic of depth images" if topic is None else f"got the topic {topic!r}"
-            where = f"depth is in {', '.join(named)}" if named else f"depth is in none; there is {bag.contents()}"
-            raise ValueError(f"{path}: {asked}; {where}")
+            where = (
+                f"depth is in {', '.join(map(shown, named))}"
+                if named
+                else f"depth is in none; there is {bag.contents()}"
+            )
+            raise ValueError(f"{shown(path)}: {asked}; {where}")
         bag.check_type(topic)
         camera = camera or bag.camera(topic)
         entries = [
@@ -101,11 +113,13 @@ class _OpenBag:
         self.path = path
         if path.is_dir() and not (path / "metadata.yaml").is_file():
             raise ValueError(
-                f"{path}: expected a ROS bag, a file or a folder with metadata.yaml, found none; "
+                f"{shown(path)}: expected a ROS bag, a file or a folder with metadata.yaml, found none; "
                 "ros2 bag reindex makes one for the files of a recording"
             )
         if path.name.endswith(".bag.active"):
-            raise ValueError(f"{path}: a ROS bag that was not closed: rosbag reindex mends it, to be named .bag then")
+            raise ValueError(
+                f"{shown(path)}: a ROS bag that was not closed: rosbag reindex mends it, to be named .bag then"
+            )
         if not path.is_dir():
             existing_file(path)
         with needs("rosbags", "ros"):
@@ -120,8 +134,36 @@ class _OpenBag:
         tool = next((tool for suffix, tool in _SAVED_BY.items() if suffix in suffixes), None)
         remedy = f"; if the recording was cut off, {tool} saves what is there" if tool else ""
         with readable(self.path, _BAG, remedy):
+            if not self.is_ros1:
+                _check_files(path)
             self._reader: Any = rosbag1.Reader(path) if self.is_ros1 else rosbag2.Reader(path)
             self._reader.open()
+            self._limit_unpacking()
+
+    def _limit_unpacking(self) -> None:
+        """Have the library unpack chunks up to a limit; itself it has none."""
+        self._unpack: Callable[[bytes], bytes] | None = None
+        if self.is_ros1:
+            from lz4.frame import LZ4FrameDecompressor
+            from rosbags.rosbag1.reader import decompressors
+
+            limited = {
+                decompressors["bz2"]: partial(unpacked, decompressor=bz2.BZ2Decompressor),
+                decompressors["lz4"]: partial(unpacked, decompressor=LZ4FrameDecompressor),
+            }
+            chunks = self._reader.chunks
+            for place, chunk in chunks.items():
+                chunks[place] = chunk._replace(decompressor=limited.get(chunk.decompressor, chunk.decompressor))
+            return
+        storage = self._reader.storage
+        if storage.metadata.compression_mode == "message":
+            zstd = import_module("rosbags.rosbag2.reader").zstd  # Python's own, or a package that is the same
+            storage.metadata = storage.metadata._replace(compression_mode=None)
+            self._unpack = partial(unpacked, decompressor=zstd.ZstdDecompressor)
+        for part in getattr(storage, "storages", [storage]):
+            for chunk in getattr(part, "chunks", []):  # an MCAP file's
+                part.bio.seek(chunk.chunk_start_offset + _BEFORE_CHUNK + len(chunk.compression))
+                check_chunk(part.bio.read(chunk.compressed_size) if chunk.compression else b"", chunk.compression)
 
     def close(self) -> None:
         self._reader.close()
@@ -136,7 +178,7 @@ class _OpenBag:
         if connections:
             with readable(self.path, _BAG):
                 for connection, time, content in self._reader.messages(connections, **times):
-                    yield time, content, connection.msgtype
+                    yield time, self._unpack(content) if self._unpack else content, connection.msgtype
 
     def check_type(self, topic: str) -> None:
         """Refuse a topic whose type is not what ROS has under that name."""
@@ -145,7 +187,9 @@ class _OpenBag:
             if connection.topic == topic and connection.digest:
                 known = self._types.generate_msgdef(kind)[1] if self.is_ros1 else self._types.hash_rihs01(kind)
                 if connection.digest != known:
-                    raise ValueError(f"{self.path}: {topic}: expected {kind} as ROS defines it, got another")
+                    raise ValueError(
+                        f"{shown(self.path)}: {shown(topic)}: expected {shown(kind)} as ROS defines it, got another"
+                    )
 
     def first(self, topic: str) -> Any:
         """The first message of a topic that is whole; None if there is none."""
@@ -175,7 +219,7 @@ class _OpenBag:
     def contents(self) -> str:
         """The topics and their types, in words."""
         topics = sorted(self._reader.topics.items())
-        return ", ".join(f"{name} ({about.msgtype})" for name, about in topics) or "no topic at all"
+        return ", ".join(f"{shown(name)} ({shown(about.msgtype)})" for name, about in topics) or "no topic at all"
 
     def camera(self, topic: str) -> Camera:
         """The camera of the CameraInfo that is nearest to a topic in the tree of names."""
@@ -187,8 +231,8 @@ class _OpenBag:
         info = self.first(name)
         if info is None:
             raise ValueError(
-                f"{self.path}: expected a CameraInfo beside {topic}, or a camera; "
-                f"there is {', '.join(sorted(infos)) or 'none'}"
+                f"{shown(self.path)}: expected a CameraInfo beside {shown(topic)}, or a camera; "
+                f"there is {', '.join(map(shown, sorted(infos))) or 'none'}"
             )
         rectified = re.search(r"(^|[_/])rect", topic) is not None
         with naming(self.path):
@@ -220,6 +264,23 @@ class _OpenBag:
         return float(seconds + nanoseconds * 1e-9)
 
 
+def _check_files(path: Path) -> None:
+    """Refuse files of a ROS 2 bag whose reading might have no end: their library trusts them.
+
+    A database may have views and columns that are programs, in place of messages that are stored.
+    """
+    about = path / "metadata.yaml"
+    if path.is_dir() and existing_file(about).stat().st_size > _LONGEST_ABOUT:
+        raise ValueError(f"{about.name} of more than {_LONGEST_ABOUT >> 20} MiB")
+    for file in path.iterdir() if path.is_dir() else [path]:
+        if file.suffix == ".db3" and existing_file(file).stat().st_size:
+            with closing(sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro&immutable=1", uri=True)) as database:
+                for kind, name in database.execute("SELECT type, name FROM sqlite_master"):
+                    columns = database.execute("SELECT hidden FROM pragma_table_xinfo(?)", (name,))
+                    if kind in ("view", "trigger") or (kind == "table" and any(hidden for (hidden,) in columns)):
+                        raise ValueError(f"a database whose {name} is computed, not stored")
+
+
 _open = kept_open()
 
 
@@ -241,8 +302,8 @@ def _read_message(location: _Location) -> NDArray[Any]:
             try:
                 return _decode_compressed(message) if kind == _COMPRESSED else _decode(message)
             except ValueError as error:
-                raise ValueError(f"{location.path}: {location.topic}: {error}") from None
-    raise ValueError(f"{location.path}: the message of {location.recorded * 1e-9:.6f} s is gone")
+                raise ValueError(f"{shown(location.path)}: {shown(location.topic)}: {error}") from None
+    raise ValueError(f"{shown(location.path)}: the message of {location.recorded * 1e-9:.6f} s is gone")
 
 
 def _decode(image: Any) -> NDArray[Any]:
@@ -274,6 +335,8 @@ def _decode_compressed(image: Any) -> NDArray[Any]:
         with Image.open(io.BytesIO(content[12:]), formats=["PNG"]) as png:
             check_png_size(png, len(content))
             pixels = np.array(png)
+    except TooLargeError:
+        raise
     except Exception as error:  # from the bytes before it, or one of Pillow's many
         raise damage("damaged compressed image", error) from None
     if pixels.ndim != 2:

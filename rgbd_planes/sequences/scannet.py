@@ -10,13 +10,15 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rgbd_planes._core.files import existing_file, naming
+from rgbd_planes._core.files import check_pixels, existing_file, naming, text_of
+from rgbd_planes._core.text import shown
 from rgbd_planes.camera.camera import Camera
 from rgbd_planes.sequences.frames import FrameEntry, FrameSequence, existing_folder, image_sequence, numbered, some
 from rgbd_planes.sequences.images import read_depth
 from rgbd_planes.sequences.poses import beside, motion_of_numbers, poses_of_files
 
 _ABOUT_FRAME = struct.Struct("<16fQQQQ")  # its pose, two stamps, the sizes of colour and depth
+_MOST_ADDED = 1 << 16  # bytes that compression adds to a frame at worst
 _TRIED = 10  # images, until one can be read
 _COMPRESSIONS = {0: "raw_ushort", 1: "zlib_ushort", 2: "occi_ushort"}
 
@@ -79,15 +81,20 @@ def scannet_sens(path: str | os.PathLike[str], camera: Camera | None = None) -> 
     with file.open("rb") as stream:
         try:
             header = _read_header(stream)
+            _, size, _ = header.camera
+            if camera is not None and (camera.width, camera.height) != size:
+                raise ValueError(
+                    f"expected depth of the camera's {camera.width} x {camera.height} pixels, got {size[0]} x {size[1]}"
+                )
             entries = list(_entries(stream, file, header, camera or _camera(*header.camera)))
         except struct.error:
             raise ValueError(
-                f"{path}: damaged or truncated: {file.stat().st_size} bytes end in the header of a .sens file"
+                f"{shown(path)}: damaged or truncated: {file.stat().st_size} bytes end in the header of a .sens file"
             ) from None
         except ValueError as error:
-            raise ValueError(f"{path}: {error}") from None
+            raise ValueError(f"{shown(path)}: {error}") from None
     if not entries:
-        raise ValueError(f"{path}: expected depth frames, found none")
+        raise ValueError(f"{shown(path)}: expected depth frames, found none")
     return FrameSequence(entries, read_sens_frame)
 
 
@@ -104,18 +111,18 @@ class SensLocation(NamedTuple):
 def read_sens_frame(location: SensLocation) -> NDArray[np.uint16]:
     """Read one depth frame of a .sens file, (H, W) uint16."""
     file, offset, size, compression, (height, width) = location
+    expected = 2 * height * width
     with file.open("rb") as stream:
         stream.seek(offset)
-        content = stream.read(size)
-    expected = 2 * height * width
+        content = stream.read(min(size, expected + _MOST_ADDED))  # compressed noise is hardly larger than it was
     if compression == "zlib_ushort":
         try:  # more than a frame's worth need not be unpacked to know that it is wrong
             content = zlib.decompressobj().decompress(content, expected + 1)
         except zlib.error as error:
-            raise ValueError(f"{file}: damaged depth frame at byte {offset} ({error})") from None
+            raise ValueError(f"{shown(file)}: damaged depth frame at byte {offset} ({error})") from None
     if len(content) != expected:
         raise ValueError(
-            f"{file}: damaged depth frame at byte {offset}: expected {expected} bytes of {width} x {height} "
+            f"{shown(file)}: damaged depth frame at byte {offset}: expected {expected} bytes of {width} x {height} "
             f"pixels, got {'more' if len(content) > expected else len(content)}"
         )
     return np.frombuffer(content, "<u2").astype(np.uint16).reshape(height, width)
@@ -137,6 +144,7 @@ def _read_header(stream: BinaryIO) -> _Header:
     matrices = np.array(_unpack(stream, "<64f")).reshape(4, 4, 4)  # colour, its pose, depth, its pose
     _, compression = _unpack(stream, "<ii")
     _, _, width, height = _unpack(stream, "<IIII")
+    check_pixels(width, height)
     depth_scale, count = _unpack(stream, "<fQ")
     name = _COMPRESSIONS.get(compression, str(compression))
     if name not in ("raw_ushort", "zlib_ushort"):
@@ -167,11 +175,11 @@ def _unpack(stream: BinaryIO, layout: str) -> tuple[Any, ...]:
 def _camera_of_matrix(root: Path, images: list[Path]) -> Camera:
     file = root / "intrinsic" / "intrinsic_depth.txt"
     if not file.is_file():
-        raise ValueError(f"{root}: expected intrinsic/intrinsic_depth.txt, or a camera")
+        raise ValueError(f"{shown(root)}: expected intrinsic/intrinsic_depth.txt, or a camera")
     try:
-        matrix = np.array(file.read_text(encoding="utf-8-sig").split(), np.float64).reshape(4, 4)
+        matrix = np.array(text_of(file).split(), np.float64).reshape(4, 4)
     except ValueError:
-        raise ValueError(f"{file}: expected a 4 x 4 matrix") from None
+        raise ValueError(f"{shown(file)}: expected a 4 x 4 matrix") from None
     wrong: list[Exception] = []
     for image in images[:_TRIED]:
         try:
@@ -187,8 +195,8 @@ def _camera_of_matrix(root: Path, images: list[Path]) -> Camera:
 
 def _camera_of_info(file: Path) -> Camera:
     if not file.is_file():
-        raise ValueError(f"{file.parent}: expected _info.txt, or a camera")
-    pairs = (line.partition("=") for line in file.read_text(encoding="utf-8-sig", errors="replace").splitlines())
+        raise ValueError(f"{shown(file.parent)}: expected _info.txt, or a camera")
+    pairs = (line.partition("=") for line in text_of(file, errors="replace").splitlines())
     values = {name.strip(): value.split() for name, _, value in pairs}
     try:
         matrix = np.array(values["m_calibrationDepthIntrinsic"], np.float64).reshape(4, 4)
@@ -196,7 +204,7 @@ def _camera_of_info(file: Path) -> Camera:
         scale = float(values["m_depthShift"][0])
     except (KeyError, IndexError, ValueError) as error:
         raise ValueError(
-            f"{file}: expected m_depthWidth, m_depthHeight, m_depthShift and m_calibrationDepthIntrinsic "
+            f"{shown(file)}: expected m_depthWidth, m_depthHeight, m_depthShift and m_calibrationDepthIntrinsic "
             f"(16 numbers), failed at {error}"
         ) from None
     with naming(file):

@@ -2,6 +2,7 @@
 
 import errno
 import functools
+import io
 import itertools
 import json
 import os
@@ -24,8 +25,9 @@ import rgbd_planes as rp
 from rgbd_planes._core import files
 from rgbd_planes.batch import fit_sequence as batch
 from rgbd_planes.batch.fingerprint import stamps
+from rgbd_planes.batch.seal import is_sealed
 from rgbd_planes.batch.table import Columns, empty_rows
-from rgbd_planes.batch.worker import FitSettings
+from rgbd_planes.batch.worker import FitSettings, Part, fit_part
 from rgbd_planes.camera import presets
 from rgbd_planes.cli import main as cli
 from rgbd_planes.evaluation import scenes
@@ -461,6 +463,46 @@ def test_what_is_missing_is_done_and_what_is_there_is_left(recording, tmp_path):
     assert [part.read_bytes() for part in parts] == contents
     assert {part: part.stat().st_mtime_ns for part in kept} == kept
     assert sorted(path.name for path in out.iterdir()) == ["_about.json", *(part.name for part in parts)]
+
+
+def test_a_part_with_a_flipped_bit_is_done_again(recording, tmp_path):
+    """Each single bit of the file counts, of its rows, its footer and the digest in it."""
+    sequence = rp.open_sequence(recording)[:4]
+    out = tmp_path / "planes"
+    rp.fit_sequence(sequence, out)
+    file = out / "part-000000.parquet"
+    written = file.read_bytes()
+    assert Part.of_file(file) is not None
+    rng = np.random.default_rng(3)
+    for bit in [*rng.integers(8 * len(written), size=200), 0, 8 * len(written) - 1]:
+        damaged = bytearray(written)
+        damaged[bit // 8] ^= 1 << (bit % 8)
+        file.write_bytes(damaged)
+        assert Part.of_file(file) is None, bit
+    report = rp.fit_sequence(sequence, out)
+    assert 0 < report.resumed < 4
+    assert file.read_bytes() == written
+    for length in (0, 7, 8, len(written) // 2, len(written) - 1):
+        file.write_bytes(written[:length])
+        assert Part.of_file(file) is None, length
+    file.write_bytes(written + b"x")
+    assert Part.of_file(file) is None
+
+
+def test_a_pipe_in_place_of_a_part_is_not_waited_for(recording, tmp_path):
+    sequence = rp.open_sequence(recording)[:4]
+    out = tmp_path / "planes"
+    rp.fit_sequence(sequence, out, num_threads=1)
+    (out / "part-000000.parquet").unlink()
+    os.mkfifo(out / "part-000000.parquet")
+    assert Part.of_file(out / "part-000000.parquet") is None
+
+
+def test_what_a_worker_sends_is_sealed_too(recording):
+    sequence = rp.open_sequence(recording)[:4]
+    part = fit_part(sequence, 0, FitSettings(), Columns(False, False, True))
+    assert is_sealed(io.BytesIO(part.content))
+    assert not is_sealed(io.BytesIO(part.content.replace(b"depth/1", b"depth/2")))
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import re
@@ -12,10 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from rgbd_planes._core.files import naming, no_folder
+from rgbd_planes._core.files import existing_file, json_of, naming, text_of
+from rgbd_planes._core.text import shown
 from rgbd_planes.camera.calibrations import formats, yaml_subset
 
 _LARGEST = 2**28  # bytes; a camera with rays of ten megapixels has some 200 MB
+_LONGEST_TEXT = 2**22  # characters of what is no JSON: words and elements take up to 100 bytes each
 _ELSEWHERE = {  # what is no text, and the way on
     ".npz": "numpy.load reads it, and Camera.from_opencv(values['mtx'], values['dist'], (width, height)) takes that",
     ".npy": "numpy.load reads it, and Camera.from_opencv(matrix, distortion, (width, height)) takes a matrix",
@@ -30,7 +31,7 @@ _INFO_LINE = re.compile(r"^\s*m_\w+\s*=", re.MULTILINE)
 def read_json(path: str | os.PathLike[str]) -> Mapping[str, Any]:
     """The object in a JSON file; ValueError where there is none."""
     if os.fspath(path).lower().endswith((".yaml", ".yml", ".xml", ".txt")):
-        raise ValueError(f"expected a JSON file, got {os.fspath(path)}: Camera.load reads other tools' files")
+        raise ValueError(f"expected a JSON file, got {shown(path)}: Camera.load reads other tools' files")
     return _json_object(path, _text(path))
 
 
@@ -61,6 +62,8 @@ def read_calibration(path: str | os.PathLike[str], name: str | None = None) -> d
         with naming(path):
             return formats.from_mapping(values, name)
     with naming(path):
+        if len(text) > _LONGEST_TEXT:
+            raise ValueError(f"expected a calibration, got a text of {len(text)} characters")
         return _of_text(text, stripped.startswith("<"), Path(path).suffix.lower(), name)
 
 
@@ -92,26 +95,23 @@ def matrix_of_text(text: str) -> np.ndarray[Any, np.dtype[np.float64]] | None:
 
 
 def _text(path: str | os.PathLike[str]) -> str:
-    file = no_folder(path)
-    kind = file.suffix.lower()
+    kind = existing_file(path).suffix.lower()
     if kind in _ELSEWHERE:
-        raise ValueError(f"expected a calibration as text, got {os.fspath(path)}: {_ELSEWHERE[kind]}")
-    if file.stat().st_size > _LARGEST:
-        raise ValueError(f"expected a calibration, got {os.fspath(path)} of {file.stat().st_size} bytes")
+        raise ValueError(f"expected a calibration as text, got {shown(path)}: {_ELSEWHERE[kind]}")
     try:
-        return file.read_text(encoding="utf-8-sig")  # some editors write a byte order mark
+        return text_of(path, most=_LARGEST)
     except UnicodeDecodeError:
         expected = "a JSON file" if kind == ".json" else "a calibration"
-        raise ValueError(f"expected {expected}, got {os.fspath(path)}, which is no text") from None
+        raise ValueError(f"expected {expected}, got {shown(path)}, which is no text") from None
 
 
 def _json_object(path: str | os.PathLike[str], text: str) -> Mapping[str, Any]:
     try:
-        values = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"expected a JSON file, got {os.fspath(path)}: {error}") from None
+        values = json_of(text)
+    except ValueError as error:
+        raise ValueError(f"expected a JSON file, got {shown(path)}: {error}") from None
     if not isinstance(values, dict):
-        raise ValueError(f"expected a JSON object in {os.fspath(path)}, got {type(values).__name__}")
+        raise ValueError(f"expected a JSON object in {shown(path)}, got {type(values).__name__}")
     return values
 
 
