@@ -472,21 +472,21 @@ def test_a_part_with_a_flipped_bit_is_done_again(recording, tmp_path):
     rp.fit_sequence(sequence, out)
     file = out / "part-000000.parquet"
     written = file.read_bytes()
-    assert Part.of_file(file) is not None
+    assert Part.read(file) is not None
     rng = np.random.default_rng(3)
     for bit in [*rng.integers(8 * len(written), size=200), 0, 8 * len(written) - 1]:
         damaged = bytearray(written)
         damaged[bit // 8] ^= 1 << (bit % 8)
         file.write_bytes(damaged)
-        assert Part.of_file(file) is None, bit
+        assert Part.read(file) is None, bit
     report = rp.fit_sequence(sequence, out)
     assert 0 < report.resumed < 4
     assert file.read_bytes() == written
     for length in (0, 7, 8, len(written) // 2, len(written) - 1):
         file.write_bytes(written[:length])
-        assert Part.of_file(file) is None, length
+        assert Part.read(file) is None, length
     file.write_bytes(written + b"x")
-    assert Part.of_file(file) is None
+    assert Part.read(file) is None
 
 
 def test_a_pipe_in_place_of_a_part_is_not_waited_for(recording, tmp_path):
@@ -495,7 +495,7 @@ def test_a_pipe_in_place_of_a_part_is_not_waited_for(recording, tmp_path):
     rp.fit_sequence(sequence, out, num_threads=1)
     (out / "part-000000.parquet").unlink()
     os.mkfifo(out / "part-000000.parquet")
-    assert Part.of_file(out / "part-000000.parquet") is None
+    assert Part.read(out / "part-000000.parquet") is None
 
 
 def test_what_a_worker_sends_is_sealed_too(recording):
