@@ -33,7 +33,6 @@ def separable(frame, focal, rays, window, needed_by_size, wanted, bands, results
     results : normals, variance, variation; (H W 3,), (H W,) and (H W,) float32, written
         The last two are left alone unless they are wanted.
     """
-    fx, fy = focal
     tan_x, tan_y = rays
     surfaces, everywhere = wanted
     band_start, band_stop = bands
@@ -60,12 +59,16 @@ def separable(frame, focal, rays, window, needed_by_size, wanted, bands, results
     tan_y_row = np.empty(strip)
     all_wanted = np.ones(strip, np.float32)
     between = sliding_window.plan_steps(window)
+    # Put together here: a tuple of arrays costs counted references each time.
+    plane_sums, surface_sums, pixel = (sums, valid_sums), (sums, squares, valid_sums), (at_centre, at_centre)
     row_start = band_start * BAND
     row_stop = min(band_stop * BAND, height)
 
     for left in range(0, width, strip):
         columns = min(strip, width - left)
         count = columns + 2 * half
+        row_tan_x = tan_x[left:]
+        row_rays = row_tan_x, tan_y_row
         missing[:] = count  # a slot with none missing would have to hold the sums of a full row
         total_missing = 0
         for row in range(row_start - half, row_stop + half):
@@ -113,14 +116,12 @@ def separable(frame, focal, rays, window, needed_by_size, wanted, bands, results
             if surfaces:
                 tan_y_row[:] = tan_y[centre]
                 surface_row(
-                    (sums, squares, valid_sums), all_wanted if everywhere else at_pixels, needed[:columns],
-                    (fx, fy), (at_centre, at_centre), (tan_x[left:], tan_y_row),
+                    surface_sums, all_wanted if everywhere else at_pixels, needed[:columns], focal, pixel, row_rays,
                     (normals[3 * first :], variance[first:], variation[first:]),
                 )  # fmt: skip
             else:
                 normals_row(
-                    (sums, valid_sums), at_pixels, needed[:columns], (fx, fy), (tan_x[left:], tan_y[centre]),
-                    normals[3 * first :],
+                    plane_sums, at_pixels, needed[:columns], focal, row_tan_x, tan_y[centre], normals[3 * first :]
                 )  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from ..solvers.methods import COLLINEAR
 
 
 @kernel(reduction=True, arrays=False)
-def normals_row(all_sums, valid, needed, focal, rays, normals):
+def normals_row(all_sums, valid, needed, focal, tan_x, tan_y, normals):
     """Normals of a row of windows from their sums, for a camera without lens distortion.
 
     Only the direction of α matters, so the normal equations are solved up to the factor n·det(MᵀM): one division and
@@ -26,13 +26,12 @@ def normals_row(all_sums, valid, needed, focal, rays, normals):
     valid, needed : (N,) float32
         Whether the middle pixel is valid, 1 or 0, and how many valid pixels a window needs.
     focal : (fx, fy)
-    rays : (N,) float64 and float
+    tan_x, tan_y : (N,) float64 and float
         tanθx of the middle pixels, and tanθy of the row.
     normals : (3 N,) float32, written
     """
     sums, valid_sums = all_sums
     fx, fy = focal
-    tan_x, tan_y = rays
     for i in range(needed.shape[0]):
         n = np.float64(valid_sums[i])
         x = np.float64(valid_sums[PITCH + i])
