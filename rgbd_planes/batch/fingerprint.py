@@ -85,7 +85,8 @@ def _location_digest(sequence: FrameSequence) -> str | None:
     pickler = Pickler(stream, protocol=5)
     pickler.fast = True  # equal objects are written alike, whether or not they are the same one
     try:
-        pickler.dump((sequence._read, [entry.location for entry in sequence.entries]))
+        steps = (sequence._steps,) if sequence._steps else ()
+        pickler.dump((sequence._read, *steps, [entry.location for entry in sequence.entries]))
     except Exception:  # whatever an object raises that cannot be pickled
         return None
     return _digest([stream.getbuffer()])

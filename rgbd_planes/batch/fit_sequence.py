@@ -25,14 +25,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rgbd_planes._core.checks import check_bool, check_num_threads, check_whole
-from rgbd_planes._core.files import alone_in, check_folder_name, json_of, naming, text_of, write_beside
+from rgbd_planes._core.files import alone_in, check_folder_name, json_of, naming, write_beside
 from rgbd_planes._core.optional_imports import needs
 from rgbd_planes._core.text import counted, shown
 from rgbd_planes._core.threads import num_cores
 from rgbd_planes._core.user_warnings import warn_caller
 from rgbd_planes._core.version import __version__
 from rgbd_planes.batch.fingerprint import UNKNOWN, digests, files_digest, stamps
-from rgbd_planes.batch.table import Columns
+from rgbd_planes.batch.table import Columns, read_about, write_about
 from rgbd_planes.batch.worker import FitSettings, Part, fit_part
 from rgbd_planes.camera.camera import Camera
 from rgbd_planes.camera.depth_frame import check_shape, check_unit
@@ -48,7 +48,7 @@ MOST_ROWS = 600_000
 MOST_THREADS, MOST_THREADS_OF_SEGMENTS = 8, 16
 CONNECT_SECONDS = 30.0
 PROGRESS_SECONDS = 0.2  # between two calls, while no part is done
-_ABOUT = "_about.json"
+_ABOUT = "_about.parquet"  # of no rows: some readers refuse a folder with files of another kind
 _SHOWN = 3  # reasons for which frames were skipped
 
 Task = tuple[int, int, int]  # number of the part, first frame, one after the last
@@ -200,7 +200,7 @@ def fit_sequence(
     if scheduler is None or (sequence.camera.depth_scale is None and sequence.camera.disparity is None):
         _check_frames(sequence)  # which a scheduler's workers can read, and this process may not
     with _workers(scheduler, num_threads, settings) as workers, alone_in(folder):
-        size = _open_table(folder, sequence, settings, workers.slots)
+        size = _open_table(folder, sequence, settings, columns, workers.slots)
         tasks: list[Task] = [
             (i, start, min(start + size, len(sequence))) for i, start in enumerate(range(0, len(sequence), size))
         ]
@@ -257,7 +257,7 @@ def _check_frames(sequence: FrameSequence) -> None:
                 check_shape(depth, depth, frame.camera)
 
 
-def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, slots: int) -> int:
+def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, columns: Columns, slots: int) -> int:
     """Begin a table in an empty folder, or check the one that is there; returns the number of frames of a part."""
     chosen = asdict(settings) | {"tile": np.broadcast_to(settings.tile, 2).tolist()}  # 16 is (16, 16)
     about = {"version": __version__, "frames": len(sequence), **digests(sequence), "settings": chosen}
@@ -265,7 +265,7 @@ def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, sl
     file = folder / _ABOUT
     if file.is_file():
         try:
-            found = json_of(text_of(file))
+            found = json_of(read_about(file))
             size = check_whole("frames_per_part", found.pop("frames_per_part"), 1)
         except (ValueError, KeyError, AttributeError, TypeError):
             raise ValueError(f"{shown(file)}: damaged; remove {shown(folder)} to begin again") from None
@@ -295,7 +295,7 @@ def _open_table(folder: Path, sequence: FrameSequence, settings: FitSettings, sl
         raise ValueError(f"{shown(folder)}: expected an empty folder, or a table that was begun earlier")
     size = _frames_of_part(len(sequence), settings, sequence.camera, slots)
     with write_beside(file) as beside:
-        beside.write_text(json.dumps({**about, "frames_per_part": size}, indent=1) + "\n", encoding="utf-8")
+        write_about(beside, columns, json.dumps({**about, "frames_per_part": size}))
     return size
 
 

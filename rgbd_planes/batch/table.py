@@ -2,6 +2,7 @@
 
 import threading
 from functools import lru_cache
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -192,6 +193,32 @@ class Rows:
             ) as file:
                 file.write_table(pa.table(list(columns.values()), schema))
                 file.add_key_value_metadata({seal.FIELD: seal.EMPTY})
+
+
+def write_about(path: Path, columns: Columns, about: str) -> None:
+    """Write a Parquet file of a table's columns without rows, whose metadata is a text about the table."""
+    import pyarrow as pa
+
+    Rows(columns).write(pa.OSFile(str(path), "wb"), 0, (), np.empty(0), about)
+
+
+def read_about(path: Path) -> str:
+    """The text of `write_about`.
+
+    Raises
+    ------
+    ValueError
+        The file is damaged.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        metadata = pq.read_schema(path).metadata or {}
+    except (OSError, pa.ArrowException) as error:
+        raise ValueError(str(error)) from None
+    about: bytes = metadata.get(KEY, b"")
+    return about.decode()
 
 
 class _Kept(threading.local):

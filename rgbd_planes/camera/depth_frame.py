@@ -18,7 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 from rgbd_planes._core.checks import plain_array
 from rgbd_planes._core.user_warnings import warn_caller
 from rgbd_planes.camera.depth_validity import measurements_of, validity
-from rgbd_planes.camera.depth_warnings import PLAINLY_NOT_METRES, warn_of_disparity, warn_of_the_range, warn_of_units
+from rgbd_planes.camera.depth_warnings import (
+    PLAINLY_NOT_METRES,
+    warn_of_disparity,
+    warn_of_swapped_bytes,
+    warn_of_the_range,
+    warn_of_units,
+)
 from rgbd_planes.kernels.common.depth import RawFrame
 
 # Steps are multiples of these, which are finer than any sensor's. Disparities come in 16ths (OpenCV) to 256ths (KITTI).
@@ -181,6 +187,8 @@ def _read(array: NDArray[Any], camera: Units) -> DepthFrame:
         for sample in samples:
             if len(measurements_of(sample, in_millimetres)) > 10 and not len(measurements_of(sample, valid)):
                 warn_of_the_range(nearest, farthest)
+    if kind in "ui" and array.dtype.itemsize == 2:
+        warn_of_swapped_bytes(array if array.ndim == 2 else array[0])
     if disparity is not None:
         for sample in samples:
             warn_of_disparity(sample, valid, disparity, camera.depth_range, camera.invalid_values)

@@ -15,6 +15,9 @@ _PLAINLY_TOO_NEAR = 1.0  # metres
 PLAINLY_NOT_METRES = 50.0  # beyond the range of the sensors this is for; 50 mm is before it
 _NEARER_THAN_ANY = 0.02  # metres; metres that are taken for millimetres do not reach it
 _FEW_PIXELS = 800  # too few to say anything
+_FEWEST_DISPARITIES = 5  # different ones; fewer are numbers that stand for missing
+_ROWS_LOOKED_AT, _FEW_STEPS = 8, 50  # for swapped bytes
+_SWAPPED_REACH = 4096  # of which a frame of swapped bytes has larger values, as long as some lower byte is above 15
 _MANY_TIMES_FARTHER = 3.0  # than all others: of a renderer's far plane, or of a number that stands for missing
 
 # No sensor measures these, some write them for missing pixels.
@@ -159,6 +162,13 @@ def warn_of_disparity(
 ) -> None:
     """Warn of a disparity image whose depths are none of a camera's: most likely it is their scale."""
     scale, offset = disparity
+    if _are_all_behind(sample, disparity, invalid_values):
+        warn_caller(
+            f"with disparity=({scale:g}, {offset:g}) no 1/Z = scale * raw + offset of this frame is positive, and all "
+            f"of it is missing: its values are {np.nanmin(sample):g} to {np.nanmax(sample):g}. If they have the other "
+            f"sign, as some stereo matchers give it, disparity=({-scale:g}, {offset:g}) reads them"
+        )
+        return
     if abs(scale) == 1.0 or sample.size < _FEW_PIXELS:  # relative disparities have no unit
         return
     if valid[0] <= 0:
@@ -183,6 +193,39 @@ def warn_of_disparity(
     warn_caller(
         f"with disparity=({scale:g}, {offset:g}) {where}: the scale is 1 / (focal length in pixels * baseline in "
         "metres), over the raw units of a pixel if these are more than one. A scale of 1 says that it is not known"
+    )
+
+
+def _are_all_behind(sample: NDArray[Any], disparity: tuple[float, float], invalid_values: Sequence[float]) -> bool:
+    """Whether a frame has many disparities, and all of them mean missing by their sign."""
+    scale, offset = disparity
+    # Mostly a few pixels show that some are measurements.
+    if any(scale * value + offset > 0.0 for value in sample[::64].tolist()):
+        return False
+    values = sample[np.isfinite(sample) & ~np.isin(sample, invalid_values)].astype(np.float64)
+    if len(values) <= 10 or not bool((scale * values + offset <= 0.0).all()):
+        return False
+    return len(np.unique(values)) > _FEWEST_DISPARITIES
+
+
+def warn_of_swapped_bytes(raw: NDArray[Any]) -> None:
+    """Warn of a frame of integers whose two bytes are in the other order.
+
+    Neighbouring pixels differ by a little, which then is in the upper byte: their difference is a multiple of 256, but
+    their values are not.
+    """
+    rows = raw[:: max(1, raw.shape[0] // _ROWS_LOOKED_AT)]
+    if not rows.size or rows.max() < _SWAPPED_REACH:
+        return
+    left, right = rows[:, :-1].astype(np.int64), rows[:, 1:].astype(np.int64)
+    step = np.abs(right - left)[(left > 0) & (right > 0)]
+    step = step[step > 0]
+    values = left[left > 0]
+    if len(step) < _FEW_STEPS or np.mean(step % 256 == 0) < 0.5 or np.mean(values % 256 == 0) > 0.5:
+        return
+    warn_caller(
+        "neighbouring pixels of this frame differ by multiples of 256: are its bytes in the other order? "
+        "frame.byteswap() swaps them, and sequence.with_swapped_bytes() those of a sequence"
     )
 
 

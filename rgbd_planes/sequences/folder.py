@@ -1,12 +1,12 @@
-"""A plain folder of depth images with a camera file."""
+"""A plain folder of depth images with a camera file, and 7-Scenes, whose folders look like many others."""
 
 import os
 
-from rgbd_planes._core.text import shown
 from rgbd_planes.camera import presets
 from rgbd_planes.camera.camera import Camera
+from rgbd_planes.sequences.contents.calibration import calibration_beside, calibration_files, found_calibration
+from rgbd_planes.sequences.contents.depth_images import depth_images
 from rgbd_planes.sequences.frames import FrameSequence, existing_folder, image_sequence, numbered, some
-from rgbd_planes.sequences.images import DEPTH_SUFFIXES
 from rgbd_planes.sequences.poses import beside, poses_of_files, poses_of_trajectory, quaternion_line
 from rgbd_planes.sequences.tum import read_index
 
@@ -17,10 +17,13 @@ def folder(path: str | os.PathLike[str], camera: Camera | None = None, *, allow_
     Parameters
     ----------
     path : folder
-        With the images in it or in ``depth/``, in the order of the numbers in their names, or in that of the lines
-        "seconds file" of a ``depth.txt``. Where some names contain "depth", as beside images of colour, those images.
+        With the images in it or in ``depth/``, or in its only subfolder with "depth" in its name, in the order of the
+        numbers in their names, or in that of the lines "seconds file" of a ``depth.txt``. Where some names contain
+        "depth", as beside images of colour, those images. Images of confidence, masks, normals, colour and labels, by
+        their names, are left out, and of one frame in several files all but one.
     camera : Camera, optional
-        Read from ``camera.json`` in the folder, if not given.
+        Read from ``camera.json`` in the folder, if not given, or from another calibration there that `Camera.load`
+        reads, or a matrix.
     allow_outside : bool
         Whether ``depth.txt`` may name files outside the folder, by ``..`` or a path from the root.
 
@@ -35,37 +38,39 @@ def folder(path: str | os.PathLike[str], camera: Camera | None = None, *, allow_
     ------
     NotADirectoryError, OSError, TypeError, ValueError
         It is not a folder with depth images, has no camera, or its ``camera.json`` or ``depth.txt`` is damaged.
+
+    Warns
+    -----
+    UserWarning
+        Images were left out, with their number and some of their names.
     """
     root = existing_folder(path)
-    if camera is None:
-        if not (root / "camera.json").is_file():
-            raise ValueError(
-                f"{shown(root)}: expected a camera, or its file camera.json in the folder (Camera.save writes one)"
-            )
+    stated = "" if camera is not None else "camera.json"
+    if camera is None and (root / "camera.json").is_file():
         camera = Camera.load(root / "camera.json")
     index = root / "depth.txt"
     if index.is_file():
         times, files = read_index(index, allow_outside)
+        camera = camera or found_calibration(root, files)
         truth = root / "groundtruth.txt"
         track = poses_of_trajectory(truth, times, quaternion_line) if truth.is_file() else poses_of_files(beside(files))
         return image_sequence(files, camera, root, times, track)
-    place = root / "depth" if (root / "depth").is_dir() else root
-    # A broken link stays, so that reading it is an error, and the frames after it keep their numbers.
-    files = [file for file in place.iterdir() if file.suffix.lower() in DEPTH_SUFFIXES and not file.is_dir()]
-    files = [file for file in files if "depth" in file.stem.lower()] or files
-    files = some(numbered(files), f"depth images ({', '.join(DEPTH_SUFFIXES)})", place)
-    return image_sequence(files, camera, root, poses=poses_of_files(beside(files)))
+    if camera is None and not calibration_files(root):
+        raise ValueError(f"{root}: expected a camera, or its file {stated} in the folder (Camera.save writes one)")
+    files = depth_images(root)
+    return image_sequence(files, camera or found_calibration(root, files), root, poses=poses_of_files(beside(files)))
 
 
 def seven_scenes(path: str | os.PathLike[str], camera: Camera | None = None) -> FrameSequence:
-    """Open a sequence of 7-Scenes (Shotton et al. 2013).
+    """Open a sequence of 7-Scenes (Shotton et al. 2013), or another in its form, as of BundleFusion or 3DMatch.
 
     Parameters
     ----------
     path : folder
         A ``seq-NN`` with ``frame-NNNNNN.depth.png``.
     camera : Camera, optional
-        `presets.seven_scenes`, for which 0 and 65535 are missing, if not given.
+        If not given, that of a calibration in the folder, or in the one above a ``seq-NN``: ``info.txt``,
+        ``camera-intrinsics.txt`` or another. Without one `presets.seven_scenes`, for which 0 and 65535 are missing.
 
     Returns
     -------
@@ -75,9 +80,13 @@ def seven_scenes(path: str | os.PathLike[str], camera: Camera | None = None) -> 
     Raises
     ------
     NotADirectoryError, ValueError
-        It is not such a folder.
+        It is not such a folder, or its calibration cannot be read.
     """
     root = existing_folder(path)
     files = some(numbered(root.glob("frame-*.depth.png")), "frame-*.depth.png", root)
-    poses = poses_of_files(beside(files))
-    return image_sequence(files, camera or presets.seven_scenes(), root, poses=poses)
+    preset, said = presets.seven_scenes(), ""
+    if camera is None:
+        camera = calibration_beside(root, files, preset)
+    if camera is None:
+        camera, said = preset, "calibration of presets.seven_scenes"
+    return image_sequence(files, camera, root, poses=poses_of_files(beside(files)), calibration=said)

@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import Any, overload
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes._core.checks import each_of, number
 from rgbd_planes._core.text import counted, shown
 from rgbd_planes.camera.camera import Camera, check_camera
 from rgbd_planes.camera.frame import Frame
 from rgbd_planes.noise.model import NoiseModel
+from rgbd_planes.sequences.frame_steps import FloatUnit, Masked, Step, after, masks_of, swapped_bytes
 from rgbd_planes.sequences.images import read_depth
 
 
@@ -50,6 +51,9 @@ class FrameSequence(Sequence[Frame]):
         `read` not a function.
     """
 
+    _steps: tuple[Step, ...] = ()
+    _calibration = ""  # where a camera comes from that the files do not state
+
     def __init__(self, entries: Iterable[FrameEntry], read: Callable[[Any], NDArray[Any]]) -> None:
         self.entries: tuple[FrameEntry, ...] = tuple(each_of(entries))
         self._read = read
@@ -82,7 +86,10 @@ class FrameSequence(Sequence[Frame]):
             raise TypeError(f"expected the number of a frame, or a slice, got {index!r}") from None
         except IndexError:
             raise IndexError(f"expected the number of one of {len(self)} frames, got {index}") from None
-        return Frame(self._read(entry.location), entry.camera, entry.timestamp, entry.name, entry.pose)
+        frame = Frame(self._read(entry.location), entry.camera, entry.timestamp, entry.name, entry.pose)
+        for step in self._steps:
+            frame = after(step, frame)
+        return frame
 
     def __iter__(self) -> Iterator[Frame]:
         # Sequence's own takes an IndexError of the reader for the end.
@@ -120,7 +127,64 @@ class FrameSequence(Sequence[Frame]):
     def with_noise(self, noise: NoiseModel | None) -> "FrameSequence":
         """The same frames, whose cameras have a noise model (`rgbd_planes.noise`)."""
         cameras = {camera: camera.with_noise(noise) for camera in self.cameras}
-        return FrameSequence((replace(e, camera=cameras[e.camera]) for e in self.entries), self._read)
+        made = copy(self)
+        made.entries = tuple(replace(e, camera=cameras[e.camera]) for e in self.entries)
+        return made
+
+    def map(self, function: Callable[[Frame], Frame | ArrayLike]) -> "FrameSequence":
+        """The same frames, each as a function makes it of what was read.
+
+        Parameters
+        ----------
+        function : callable
+            Takes a `Frame`; returns one, or its new depth, (H, W). A function of a module can be used by the processes
+            of a batch, and a batch can be resumed with it.
+
+        Returns
+        -------
+        FrameSequence
+
+        Examples
+        --------
+        A sensor that is mounted upside down:
+
+        >>> upright = sequence.map(lambda frame: frame.rotated(180))
+        """
+        if not callable(function):
+            raise TypeError(f"expected a function of a Frame, got {type(function).__name__}")
+        made = copy(self)
+        made._steps = (*self._steps, function)
+        return made
+
+    def masked(self, folder: str | os.PathLike[str], threshold: float = 1.0) -> "FrameSequence":
+        """The same frames without the pixels in which a mask, or an image of confidence, is below a threshold.
+
+        Parameters
+        ----------
+        folder : folder
+            With an image for each frame, of the frame's name, or with the numbers of its name.
+        threshold : float
+            What a pixel needs at least: 1 of masks that are 0 where depth is wrong, 2 of a confidence of 0, 1 and 2.
+
+        Returns
+        -------
+        FrameSequence
+
+        Raises
+        ------
+        NotADirectoryError, ValueError
+            It is no folder, or has no image for a frame. A mask of another size is an error when its frame is read.
+        """
+        least = number("threshold", threshold)
+        return self.map(Masked(masks_of(self.names, existing_folder(folder)), least))
+
+    def with_float_scale(self, float_scale: float) -> "FrameSequence":
+        """The same frames, of which those of floats hold so many units per metre, 1000 for millimetres, not metres."""
+        return self.map(FloatUnit(float_scale))
+
+    def with_swapped_bytes(self) -> "FrameSequence":
+        """The same frames, with the two bytes of their integers in the other order."""
+        return self.map(swapped_bytes)
 
     def __repr__(self) -> str:
         if not self.entries:
@@ -128,7 +192,9 @@ class FrameSequence(Sequence[Frame]):
         cameras = len(self.cameras)
         of = f"{cameras} cameras" if cameras > 1 else f"{self.camera.width} x {self.camera.height} pixels"
         frames = counted(len(self), "frame")
-        return f"<FrameSequence: {frames}, {of}, {shown(self.entries[0].name)} to {shown(self.entries[-1].name)}>"
+        by = f", {self._calibration}" if self._calibration else ""
+        first, last = shown(self.entries[0].name), shown(self.entries[-1].name)
+        return f"<FrameSequence: {frames}, {of}, {first} to {last}{by}>"
 
 
 def image_sequence(
@@ -137,18 +203,23 @@ def image_sequence(
     root: Path,
     timestamps: Iterable[float] | None = None,
     poses: Iterable[NDArray[np.float64] | None] | None = None,
+    *,
+    calibration: str = "",
 ) -> FrameSequence:
-    """A sequence of image files of one camera, named by their paths, below `root` if they are there."""
+    """A sequence of image files of one camera, named by their paths, below `root` if they are there.
+
+    ``calibration`` says in the sequence's repr where the camera comes from, if the files do not state it.
+    """
     paths = list(files)
     times = [float("nan")] * len(paths) if timestamps is None else timestamps
     known = [None] * len(paths) if poses is None else poses
-    return FrameSequence(
-        (
-            FrameEntry(_name(path, root), time, camera, path, pose)
-            for path, time, pose in zip(paths, times, known, strict=True)
-        ),
-        read_depth,
-    )
+    entries = [
+        FrameEntry(_name(path, root), time, camera, path, pose)
+        for path, time, pose in zip(paths, times, known, strict=True)
+    ]
+    sequence = FrameSequence(entries, read_depth)
+    sequence._calibration = calibration
+    return sequence
 
 
 def _name(path: Path, root: Path) -> str:

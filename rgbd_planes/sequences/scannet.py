@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 
 from rgbd_planes._core.files import check_pixels, existing_file, naming, text_of
 from rgbd_planes._core.text import shown
+from rgbd_planes.camera.calibrations.formats import from_sensor_info
 from rgbd_planes.camera.camera import Camera
+from rgbd_planes.sequences.contents.calibration import camera_of_matrix
 from rgbd_planes.sequences.frames import FrameEntry, FrameSequence, existing_folder, image_sequence, numbered, some
-from rgbd_planes.sequences.images import read_depth
 from rgbd_planes.sequences.poses import beside, motion_of_numbers, poses_of_files
 
 _ABOUT_FRAME = struct.Struct("<16fQQQQ")  # its pose, two stamps, the sizes of colour and depth
 _MOST_ADDED = 1 << 16  # bytes that compression adds to a frame at worst
-_TRIED = 10  # images, until one can be read
+_SIZE = 640, 480  # of the depth that intrinsic_depth.txt is of, in all scenes
 _COMPRESSIONS = {0: "raw_ushort", 1: "zlib_ushort", 2: "occi_ushort"}
 
 
@@ -32,7 +33,7 @@ def scannet(path: str | os.PathLike[str], camera: Camera | None = None) -> Frame
         With ``depth/N.png`` (or .pgm) and ``intrinsic/intrinsic_depth.txt``, as its Python exporter writes
         them, or ``frame-NNNNNN.depth.pgm`` (or .png) and ``_info.txt``, as its C++ one does.
     camera : Camera, optional
-        Instead of the one in these files.
+        Instead of the one in these files, which is resized with the depth where that is smaller than ScanNet's own.
 
     Returns
     -------
@@ -177,38 +178,18 @@ def _camera_of_matrix(root: Path, images: list[Path]) -> Camera:
     if not file.is_file():
         raise ValueError(f"{shown(root)}: expected intrinsic/intrinsic_depth.txt, or a camera")
     try:
-        matrix = np.array(text_of(file).split(), np.float64).reshape(4, 4)
+        matrix = np.array(text_of(file).split(), np.float64).reshape(4, 4)[:3, :3]
     except ValueError:
         raise ValueError(f"{shown(file)}: expected a 4 x 4 matrix") from None
-    wrong: list[Exception] = []
-    for image in images[:_TRIED]:
-        try:
-            height, width = read_depth(image).shape
-            break
-        except (OSError, ValueError) as error:
-            wrong.append(error)
-    else:
-        raise ValueError(f"{wrong[0]}; the first image that can be read gives the size of the frames")
-    with naming(file):
-        return _camera(matrix, (width, height), 1000.0)
+    return camera_of_matrix(matrix, file, images, _SIZE, depth_scale=1000.0)
 
 
 def _camera_of_info(file: Path) -> Camera:
     if not file.is_file():
         raise ValueError(f"{shown(file.parent)}: expected _info.txt, or a camera")
-    pairs = (line.partition("=") for line in text_of(file, errors="replace").splitlines())
-    values = {name.strip(): value.split() for name, _, value in pairs}
-    try:
-        matrix = np.array(values["m_calibrationDepthIntrinsic"], np.float64).reshape(4, 4)
-        width, height = int(values["m_depthWidth"][0]), int(values["m_depthHeight"][0])
-        scale = float(values["m_depthShift"][0])
-    except (KeyError, IndexError, ValueError) as error:
-        raise ValueError(
-            f"{shown(file)}: expected m_depthWidth, m_depthHeight, m_depthShift and m_calibrationDepthIntrinsic "
-            f"(16 numbers), failed at {error}"
-        ) from None
+    text = text_of(file, errors="replace")
     with naming(file):
-        return _camera(matrix, (width, height), scale)
+        return Camera.from_dict(from_sensor_info(text))
 
 
 def _camera(matrix: NDArray[np.float64], size: tuple[int, int], depth_scale: float) -> Camera:

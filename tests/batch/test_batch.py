@@ -24,6 +24,7 @@ import pytest
 import rgbd_planes as rp
 from rgbd_planes._core import files
 from rgbd_planes.batch import fit_sequence as batch
+from rgbd_planes.batch import table
 from rgbd_planes.batch.fingerprint import stamps
 from rgbd_planes.batch.seal import is_sealed
 from rgbd_planes.batch.table import Columns, empty_rows
@@ -462,7 +463,7 @@ def test_what_is_missing_is_done_and_what_is_there_is_left(recording, tmp_path):
     assert report.resumed == 12
     assert [part.read_bytes() for part in parts] == contents
     assert {part: part.stat().st_mtime_ns for part in kept} == kept
-    assert sorted(path.name for path in out.iterdir()) == ["_about.json", *(part.name for part in parts)]
+    assert sorted(path.name for path in out.iterdir()) == ["_about.parquet", *(part.name for part in parts)]
 
 
 def test_a_part_with_a_flipped_bit_is_done_again(recording, tmp_path):
@@ -546,15 +547,19 @@ def test_another_table_is_not_mixed_in(recording, tmp_path):
             rp.fit_sequence(sequence, out)
         (out / stranger).unlink()
     rp.fit_sequence(sequence, out)
-    about = json.loads((out / "_about.json").read_text())
+    about = json.loads(table.read_about(out / "_about.parquet"))
+    columns = table.Columns(False, False, False)
     for damaged in ({}, [], *({**about, "frames_per_part": size} for size in (0, None, 2.5, True, np.inf))):
-        (out / "_about.json").write_text(json.dumps(damaged))
+        table.write_about(out / "_about.parquet", columns, json.dumps(damaged))
         with pytest.raises(ValueError, match="damaged; remove"):
             rp.fit_sequence(sequence, out)
-    (out / "_about.json").write_text("[" * 100_000)
+    table.write_about(out / "_about.parquet", columns, "[" * 100_000)
     with pytest.raises(ValueError, match="damaged; remove"):
         rp.fit_sequence(sequence, out)
-    (out / "_about.json").unlink()
+    (out / "_about.parquet").write_bytes(b"PAR1")
+    with pytest.raises(ValueError, match="damaged; remove"):
+        rp.fit_sequence(sequence, out)
+    (out / "_about.parquet").unlink()
     with pytest.raises(ValueError, match="expected an empty folder"):
         rp.fit_sequence(sequence, out)
 

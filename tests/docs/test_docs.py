@@ -113,7 +113,7 @@ def printed(page, number, files, monkeypatch):
 
 
 def test_what_the_page_on_calibration_says_comes_out(files, monkeypatch):
-    lines = printed("howto/calibration.md", 4, files, monkeypatch).splitlines()
+    lines = printed("howto/calibration.md", 5, files, monkeypatch).splitlines()
     assert "is it a colour image?" in lines[0]
     assert "is it transposed, or are the camera's width and height swapped?" in lines[1]
     number = r"([\d.]+)"

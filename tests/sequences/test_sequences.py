@@ -887,7 +887,8 @@ def test_commands_read_the_format_topic_and_camera_that_they_are_given(tmp_path,
     write_tum(root, frames)
     CAMERA.save(root / "camera.json")
     given = Namespace(camera=None, format="tum", topic=None, allow_outside=False)
-    assert read_sequence(given, root).camera == presets.tum_freiburg1()
+    assert read_sequence(given, root).camera == CAMERA  # which stands beside the frames, and not the preset
+    assert read_sequence(given, root).timestamps[0] > 1e9
     given = Namespace(camera=root / "camera.json", format="tum", topic=None, allow_outside=False)
     assert read_sequence(given, root).camera == CAMERA
     pytest.importorskip("rosbags")

@@ -1,0 +1,1 @@
+"""What a folder of frames holds: its depth images, and the calibration that stands beside them."""
