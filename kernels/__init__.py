@@ -9,6 +9,7 @@ Folders, lowest first; each uses only those before it:
 - `fits`: from a frame to planes or normals in one call
 - `statistics`: how good a plane is
 - `segmentation`: the planes of a frame, and the pixels of each
+- `egomotion`: tiles of a frame against planes of other frames
 
 Habits of these kernels, each because it was measured:
 

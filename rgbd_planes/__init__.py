@@ -19,10 +19,12 @@ from rgbd_planes._core.version import __version__
 # Where each public name comes from.
 _NAMES = {
     "Camera": "camera.camera",
+    "CameraPose": "egomotion.pose",
     "FitSettings": "batch.worker",
     "LabelPlanes": "fitting.labels",
     "LiveView": "export.live",
     "MergedPlanes": "fitting.merge",
+    "Odometry": "egomotion.odometry",
     "PlanePolygon": "segmentation.polygons",
     "PlaneTracker": "segmentation.tracking",
     "Reason": "segmentation.result",
@@ -44,6 +46,7 @@ _NAMES = {
     "measurement_noise": "uncertainty.points",
     "merge": "fitting.merge",
     "normals": "fitting.normals",
+    "odometry": "egomotion.odometry",
     "open_sequence": "sequences",
     "plane_polygons": "segmentation.polygons",
     "principal_curvatures": "fitting.surfaces.dense",
@@ -80,6 +83,9 @@ if TYPE_CHECKING:
     from rgbd_planes.batch.worker import FitSettings as FitSettings
     from rgbd_planes.camera import presets as presets
     from rgbd_planes.camera.camera import Camera as Camera
+    from rgbd_planes.egomotion.odometry import Odometry as Odometry
+    from rgbd_planes.egomotion.odometry import odometry as odometry
+    from rgbd_planes.egomotion.pose import CameraPose as CameraPose
     from rgbd_planes.evaluation import metrics as metrics
     from rgbd_planes.evaluation import scenes as scenes
     from rgbd_planes.export import rerun as _recording

@@ -14,7 +14,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes._core.checks import label_array, number, plain_array, shaped_array
 from rgbd_planes._core.lazy_property import kept
+from rgbd_planes.evaluation.trajectories import RelativeErrors, TrajectoryErrors, trajectory_errors
 from rgbd_planes.uncertainty.planes import angle_and_offset
+
+__all__ = [
+    "DetectionScores",
+    "HooverCounts",
+    "LabelComparison",
+    "PlaneErrors",
+    "RelativeErrors",
+    "TrajectoryErrors",
+    "compare_labels",
+    "plane_errors",
+    "trajectory_errors",
+]
 
 # Labels above are renumbered by sorting the pixels, others by a table of all labels.
 LARGEST_LISTED = 1 << 22
