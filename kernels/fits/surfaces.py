@@ -4,12 +4,12 @@ import numpy as np
 
 from .._jit.kernel import kernel
 from ..common.arrays import copy_columns, copy_columns_back
-from ..moments.strips import TILES, tiles_in_strip
+from ..moments.strips import TILES, Strip, tiles_in_strip
 from ..moments.surface_tiles import (
     CAMERA_SUMS,
     SURFACE_SUMS,
     surface_strip,
-    surface_strip_room,
+    surface_strip_scratch,
     surface_strip_separable,
 )
 from ..solvers.quadratic import QUADRATIC_WORK, solve_quadratics, write_surfaces
@@ -45,12 +45,12 @@ def fit_surface_tiles(
     height, width = raw.shape[1:]
     tile_rows, tile_columns = (height - 1) // tile_height + 1, (width - 1) // tile_width + 1
     tiles_at_once = tiles_in_strip(tile_width)
-    room = np.empty((SURFACE_SUMS + 3 + QUADRATIC_WORK, TILES))
-    block_moments = room[:SURFACE_SUMS]
-    block_centre, block_reference = room[SURFACE_SUMS : SURFACE_SUMS + 2], room[SURFACE_SUMS + 2]
-    work = room[SURFACE_SUMS + 3 :]
+    block = np.empty((SURFACE_SUMS + 3 + QUADRATIC_WORK, TILES))
+    block_moments = block[:SURFACE_SUMS]
+    block_centre, block_reference = block[SURFACE_SUMS : SURFACE_SUMS + 2], block[SURFACE_SUMS + 2]
+    work = block[SURFACE_SUMS + 3 :]
     block_moments[:] = 0.0
-    sums_room = surface_strip_room()
+    scratch = surface_strip_scratch()
 
     first = filled = np.int64(0)
     for row in range(tile_row_start, tile_row_stop):
@@ -64,15 +64,15 @@ def fit_surface_tiles(
             into = block_moments[:, filled:]
             place = tile_row * tile_columns + tile_start
             copy_columns(full, place, place + tile_stop - tile_start, into[:CAMERA_SUMS])
+            strip = Strip(row_start, row_stop, tile_start, tile_stop, tile_width)
+            image = raw[frame], lowest, highest, scale
             if tan_x.ndim == 1:
                 surface_strip_separable(
-                    raw[frame], lowest, highest, scale, offset, tan_x, tan_y, tile_width, row_start, row_stop,
-                    tile_start, tile_stop, sums_room, block_reference[filled:], into,
+                    image, offset, (tan_x, tan_y), strip, scratch, block_reference[filled:], into
                 )  # fmt: skip
             else:
                 surface_strip(
-                    raw[frame], lowest, highest, scale, offset, tan_x, tan_y, tile_width, centre[:, place:],
-                    row_start, row_stop, tile_start, tile_stop, sums_room, block_reference[filled:], into,
+                    image, offset, (tan_x, tan_y), centre[:, place:], strip, scratch, block_reference[filled:], into
                 )  # fmt: skip
             filled += tile_stop - tile_start
             is_last = (row + 1 == tile_row_stop or tile_row + 1 == tile_rows) and tile_stop == tile_columns
@@ -85,37 +85,12 @@ def fit_surface_tiles(
                     out_reference[i] = block_reference[i]
                 solve_quadratics(block_moments, block_reference, filled, work)
                 write_surfaces(
-                    work, block_moments, block_reference, block_centre[0], block_centre[1], needed[first:last],
-                    max_error, filled, coefficients[frame, 6 * first : 6 * last], rmse[frame, first:last],
-                    rmse_metric[frame, first:last], valid_count[frame, first:last], status[frame, first:last],
+                    work, block_moments, block_reference, block_centre, needed[first:last], max_error, filled,
+                    (
+                        coefficients[frame, 6 * first : 6 * last], rmse[frame, first:last],
+                        rmse_metric[frame, first:last], valid_count[frame, first:last], status[frame, first:last],
+                    ),
                 )  # fmt: skip
                 first = last
                 filled = 0
                 block_moments[:] = 0.0
-
-
-@kernel()
-def fit_surface_moments(
-    moments, reference, centre, needed, max_error, start, stop, coefficients, rmse, rmse_metric, valid_count, status
-):
-    """Quadratics from moments: entries ``start`` to ``stop`` of (SURFACE_SUMS, T). Results as in `write_surfaces`.
-
-    ``centre`` (2, T) are the central rays, ``reference`` (T,) the inverse depths that the sums of q are relative to.
-    """
-    room = np.empty((SURFACE_SUMS + 3 + QUADRATIC_WORK, TILES))
-    block_moments = room[:SURFACE_SUMS]
-    block_centre, block_reference = room[SURFACE_SUMS : SURFACE_SUMS + 2], room[SURFACE_SUMS + 2]
-    work = room[SURFACE_SUMS + 3 :]
-    for first in range(start, stop, TILES):
-        last = min(first + TILES, stop)
-        count = last - first
-        copy_columns(moments, first, last, block_moments)
-        copy_columns(centre, first, last, block_centre)
-        for i in range(count):
-            block_reference[i] = reference[first + i]
-        solve_quadratics(block_moments, block_reference, count, work)
-        write_surfaces(
-            work, block_moments, block_reference, block_centre[0], block_centre[1], needed[first:last], max_error,
-            count, coefficients[6 * first : 6 * last], rmse[first:last], rmse_metric[first:last],
-            valid_count[first:last], status[first:last],
-        )  # fmt: skip

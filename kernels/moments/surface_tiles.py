@@ -9,8 +9,8 @@ tile, so that a tile's equations are those of its valid pixels, and the cost is 
 import numpy as np
 
 from .._jit.kernel import kernel
-from .pixel_pairs import BOTH, clip, inverse_depths
-from .strips import COLUMNS, Strip, columns_in_strip, find_references, spread_to_columns
+from .pixel_pairs import BOTH, read_pair
+from .strips import COLUMNS, columns_in_strip, find_references, spread_to_columns
 
 # Rows of moments: the camera's sums, by their exponents of u and v, and the frame's, of q relative to a reference.
 N, U, V, UU, UV, VV, UUU, UUV, UVV, VVV, UUUU, UUUV, UUVV, UVVV, VVVV = range(15)
@@ -32,8 +32,8 @@ for _place in range(64):
 
 
 @kernel(inline=True)
-def surface_strip_room():
-    """Room for sums of columns, references of columns, marks of valid pixels, and sums of missing ones."""
+def surface_strip_scratch():
+    """Scratch memory: sums of columns, references of columns, marks of valid pixels, and sums of missing ones."""
     columns = np.empty((10, COLUMNS + 8))
     marks = np.empty(COLUMNS + 8, np.uint64)
     columns[:] = 0.0
@@ -47,24 +47,29 @@ def place_of(bit):
 
 
 @kernel(reduction=True, inline=True)
-def surface_pair(
-    a, b, is_pair, lowest, highest, scale, offset, va, vb, vva, vvb, bit_a, bit_b, reference_q
-):  # fmt: skip
-    """Σq, Σqv, Σqvv, Σqq and marks of the valid ones among two pixels of a column, or of the first alone."""
-    clipped_a, clipped_b = clip(a, lowest, highest), clip(b, lowest, highest)
-    valid_a, valid_b = clipped_a == a, (clipped_b == b) & is_pair
-    qa, qb = inverse_depths(np.float64(clipped_a), np.float64(clipped_b), scale, offset)
-    qa = qa - reference_q if valid_a else 0.0
-    qb = qb - reference_q if valid_b else 0.0
+def surface_pair(pixels, is_pair, limits, scale, offset, v, bits, reference):
+    """Σq, Σqv, Σqvv, Σqq and marks of the valid ones among two pixels of a column, or of the first alone.
+
+    ``v`` are tanθy of the two and their squares.
+    """
+    valid_a, valid_b, qa, qb = read_pair(pixels, is_pair, limits, scale, offset, None)
+    va, vb, vva, vvb = v
+    bit_a, bit_b = bits
+    qa = qa - reference if valid_a else 0.0
+    qb = qb - reference if valid_b else 0.0
     valid = (bit_a if valid_a else NO_BITS) | (bit_b if valid_b else NO_BITS)
     return qa + qb, qa * va + qb * vb, qa * vva + qb * vvb, qa * qa + qb * qb, valid
 
 
 @kernel(inline=True)
-def add_two_surface_rows(
-    raw, lowest, highest, scale, offset, v, row, row_stop, k, left, count, reference_q, sums, marks
-):  # fmt: skip
-    """Add two image rows, see `add_surface_rows`; the second may be missing."""
+def add_two_surface_rows(frame, offset, v, rows, columns, reference, sums, marks):
+    """Add two neighbouring image rows, of which the second may be missing.
+
+    ``rows`` are the first of them, the one after the band's last, and the first one's number in the band.
+    """
+    raw, lowest, highest, scale = frame
+    row, row_stop, k = rows
+    left, count = columns
     sum_q, sum_qv, sum_qvv, sum_qq = sums[0], sums[1], sums[2], sums[3]
     is_pair = row + 1 < row_stop
     other = row + 1 if is_pair else row
@@ -74,7 +79,7 @@ def add_two_surface_rows(
     bit_a, bit_b = ROW_BITS[k], ROW_BITS[k + 1 if is_pair else k]
     for i in range(count):
         q, qv, qvv, qq, valid = surface_pair(
-            a[i], b[i], is_pair, lowest, highest, scale, offset, va, vb, vva, vvb, bit_a, bit_b, reference_q[i]
+            (a[i], b[i]), is_pair, (lowest, highest), scale, offset, (va, vb, vva, vvb), (bit_a, bit_b), reference[i]
         )
         sum_q[i] += q
         sum_qv[i] += qv
@@ -84,10 +89,11 @@ def add_two_surface_rows(
 
 
 @kernel(inline=True)
-def add_four_surface_rows(
-    raw, lowest, highest, scale, offset, v, row, k, apart, left, count, reference_q, sums, marks
-):  # fmt: skip
-    """Add four image rows, ``apart`` from one another, see `add_surface_rows`."""
+def add_four_surface_rows(frame, offset, v, rows, columns, reference, sums, marks):
+    """Add four image rows: ``rows`` are the first of them, its number in the band, and how far they are apart."""
+    raw, lowest, highest, scale = frame
+    row, k, apart = rows
+    left, count = columns
     sum_q, sum_qv, sum_qvv, sum_qq = sums[0], sums[1], sums[2], sums[3]
     row_b, row_c, row_d = row + apart, row + 2 * apart, row + 3 * apart
     a, b = raw[row, left : left + count], raw[row_b, left : left + count]
@@ -98,10 +104,10 @@ def add_four_surface_rows(
     bit_c, bit_d = ROW_BITS[k + 2 * apart], ROW_BITS[k + 3 * apart]
     for i in range(count):
         q, qv, qvv, qq, valid = surface_pair(
-            a[i], b[i], BOTH, lowest, highest, scale, offset, va, vb, vva, vvb, bit_a, bit_b, reference_q[i]
+            (a[i], b[i]), BOTH, (lowest, highest), scale, offset, (va, vb, vva, vvb), (bit_a, bit_b), reference[i]
         )
         q_, qv_, qvv_, qq_, valid_ = surface_pair(
-            c[i], d[i], BOTH, lowest, highest, scale, offset, vc, vd, vvc, vvd, bit_c, bit_d, reference_q[i]
+            (c[i], d[i]), BOTH, (lowest, highest), scale, offset, (vc, vd, vvc, vvd), (bit_c, bit_d), reference[i]
         )
         sum_q[i] += q + q_
         sum_qv[i] += qv + qv_
@@ -111,35 +117,36 @@ def add_four_surface_rows(
 
 
 @kernel(reduction=True, inline=True)
-def add_surface_rows(
-    raw, lowest, highest, scale, offset, v, row_start, row_stop, left, count, reference_q, sums, marks
-):  # fmt: skip
-    """Add a band of at most `BAND_ROWS` image rows to the sums of their columns.
+def add_surface_rows(frame, offset, v, rows, columns, reference, sums, marks):
+    """Add a band of image rows to the sums of their columns.
 
     Parameters
     ----------
-    left, count
+    frame, offset
+        The frame (H, W), its lowest and highest valid raw values, and scale: q = scale / raw, or
+        scale * raw + offset unless ``offset`` is None.
+    v : (H,) float64
+        tanθy of each row, relative to its tile's centre.
+    rows : (start, stop)
+        At most `BAND_ROWS` image rows.
+    columns : (left, count)
         The first column and the number of columns.
-    reference_q : (COLUMNS,) float64
+    reference : (COLUMNS,) float64
         Inverse depth of the reference of each column's tile.
     sums : (4, COLUMNS) float64, added to
         Σq, Σqv, Σqvv and Σqq of the valid pixels.
     marks : (COLUMNS,) uint64, changed
         A bit for each valid pixel of the band, the lowest for its first row.
     """
-    if lowest > highest:
+    row_start, row_stop = rows
+    if frame[1] > frame[2]:
         return  # no value is valid
     apart = (row_stop - row_start) // 4
     for k in range(apart):
-        add_four_surface_rows(
-            raw, lowest, highest, scale, offset, v, row_start + k, k, apart, left, count, reference_q, sums, marks
-        )
+        add_four_surface_rows(frame, offset, v, (row_start + k, k, apart), columns, reference, sums, marks)
     row = row_start + 4 * apart
     while row < row_stop:
-        add_two_surface_rows(
-            raw, lowest, highest, scale, offset, v, row, row_stop, row - row_start, left, count,
-            reference_q, sums, marks,
-        )  # fmt: skip
+        add_two_surface_rows(frame, offset, v, (row, row_stop, row - row_start), columns, reference, sums, marks)
         row += 2
 
 
@@ -175,10 +182,9 @@ def band_mask(rows):
 
 
 @kernel(inline=True)
-def write_difference(
-    m_1, m_u, m_v, m_uu, m_uv, m_vv, m_uuu, m_uuv, m_uvv, m_vvv, m_uuuu, m_uuuv, m_uuvv, m_uvvv, m_vvvv, tile, moments
-):  # fmt: skip
-    """Subtract the sums of missing pixels from those of a tile."""
+def write_difference(missing, tile, moments):
+    """Subtract the 15 sums of missing pixels from a tile's, both in the order of the moments."""
+    m_1, m_u, m_v, m_uu, m_uv, m_vv, m_uuu, m_uuv, m_uvv, m_vvv, m_uuuu, m_uuuv, m_uuvv, m_uvvv, m_vvvv = missing
     moments[N, tile] -= m_1
     moments[U, tile] -= m_u
     moments[V, tile] -= m_v
@@ -212,7 +218,7 @@ def sums_before(v, rows, before):
 
 
 @kernel(inline="compiled")
-def subtract_missing(marks, u, v, tiles, span, columns, rows, before, moments):
+def subtract_missing(marks, rays, grid, before, moments):
     """Subtract the camera's sums of the missing pixels of a band of rows, for rays that separate.
 
     Pixels that are missing one below the other are taken together: the cost is that of the runs of missing pixels.
@@ -220,18 +226,21 @@ def subtract_missing(marks, u, v, tiles, span, columns, rows, before, moments):
     Parameters
     ----------
     marks : (COLUMNS,) uint64
-        See `add_surface_rows`.
-    u, v
+        A bit for each valid pixel of a column of the band, the lowest for its first row.
+    rays : u and v
         tanθx of the columns and tanθy of the band's rows, relative to their tile's centre.
-    span, columns
-        Columns of a tile, and those that the image has of all tiles.
+    grid : (tiles, span, columns)
+        Number of tiles, columns of each, and columns that the image has of all of them.
     before : (5, BAND_ROWS + 1) float64
-        Room.
+        Scratch memory.
     moments : (CAMERA_SUMS or more, N) float64, changed
     """
+    u, v = rays
+    tiles, span, columns = grid
+    rows = len(v)
     full = band_mask(rows)
     sums_before(v, rows, before)
-    of_1, of_v, of_vv, of_vvv, of_vvvv = before[0], before[1], before[2], before[3], before[4]
+    sum_1, sum_v, sum_vv, sum_vvv, sum_vvvv = before[0], before[1], before[2], before[3], before[4]
     for tile in range(tiles):
         start, stop = tile * span, min(tile * span + span, columns)
         common = full
@@ -255,11 +264,11 @@ def subtract_missing(marks, u, v, tiles, span, columns, rows, before, moments):
                     missing &= after
                     a = place_of(lowest)
                     b = place_of(behind) if behind != NO_BITS else rows
-                    s_1 += of_1[b] - of_1[a]
-                    s_v += of_v[b] - of_v[a]
-                    s_vv += of_vv[b] - of_vv[a]
-                    s_vvv += of_vvv[b] - of_vvv[a]
-                    s_vvvv += of_vvvv[b] - of_vvvv[a]
+                    s_1 += sum_1[b] - sum_1[a]
+                    s_v += sum_v[b] - sum_v[a]
+                    s_vv += sum_vv[b] - sum_vv[a]
+                    s_vvv += sum_vvv[b] - sum_vvv[a]
+                    s_vvvv += sum_vvvv[b] - sum_vvvv[a]
             else:
                 while missing != NO_BITS:
                     k = place_of(missing & (~missing + ONE))
@@ -288,68 +297,61 @@ def subtract_missing(marks, u, v, tiles, span, columns, rows, before, moments):
             m_uvvv += s_vvv * x
             m_vvvv += s_vvvv
         write_difference(
-            m_1, m_u, m_v, m_uu, m_uv, m_vv, m_uuu, m_uuv, m_uvv, m_vvv, m_uuuu, m_uuuv, m_uuvv, m_uvvv, m_vvvv,
+            (m_1, m_u, m_v, m_uu, m_uv, m_vv, m_uuu, m_uuv, m_uvv, m_vvv, m_uuuu, m_uuuv, m_uuvv, m_uvvv, m_vvvv),
             tile, moments,
         )  # fmt: skip
 
 
 @kernel(inline="compiled")
-def surface_strip_separable(
-    raw, lowest, highest, scale, offset, u, v, tile_width,
-    row_start, row_stop, tile_start, tile_stop, room, references, moments,
-):  # fmt: skip
+def surface_strip_separable(frame, offset, rays, strip, scratch, references, moments):
     """Sums of a strip of tiles, for a camera without lens distortion.
 
     Parameters
     ----------
-    raw : (H, W) array
-        The frame; a pixel is valid if ``lowest <= raw <= highest``.
-    scale, offset
-        q = scale / raw, or scale * raw + offset unless ``offset`` is None.
-    u, v : (C * tile_width,) and (H,) float64
+    frame, offset
+        The frame (H, W), its lowest and highest valid raw values, and scale: q = scale / raw, or
+        scale * raw + offset unless ``offset`` is None.
+    rays : (C * tile_width,) and (H,) float64
         tanθx of each column and tanθy of each row, relative to its tile's centre.
-    row_start, row_stop
-        Image rows of the tiles.
-    room
-        See `surface_strip_room`.
+    strip : Strip
+    scratch
+        From `surface_strip_scratch`.
     references : (N,) float64, written
         Inverse depth of the reference of each of the strip's tiles.
     moments : (SURFACE_SUMS, N) float64, changed
-        The camera's sums over whole tiles, from which those of missing pixels are subtracted; the frame's are added.
+        The camera's sums over whole tiles, from which the sums over missing pixels are subtracted. The frame's are
+        added.
     """
-    sums, columns, marks, before = room
-    tiles = tile_stop - tile_start
-    strip = Strip(row_start, row_stop, tile_start, tile_stop, tile_width)
-    find_references((raw, lowest, highest, scale), offset, None, strip, references)
+    width = frame[0].shape[1]
+    u, v = rays
+    sums, columns, marks, before = scratch
+    tiles, tile_width = strip.tile_stop - strip.tile_start, strip.tile_width
+    find_references(frame, offset, None, strip, references)
     # More than one pass only where a tile is wider than a strip.
-    last = min(tile_stop * tile_width, raw.shape[1])
-    for left in range(tile_start * tile_width, last, COLUMNS):
-        span, count = columns_in_strip(left, last, tile_width, raw.shape[1])
+    last = min(strip.tile_stop * tile_width, width)
+    for left in range(strip.tile_start * tile_width, last, COLUMNS):
+        span, count = columns_in_strip(left, last, tile_width, width)
         spread_to_columns(references, tiles, span, columns[0])
         for entry in range(4):
             for i in range(max(count, tiles * span)):
                 sums[entry, i] = 0.0
-        for band in range(row_start, row_stop, BAND_ROWS):
-            band_stop = min(band + BAND_ROWS, row_stop)
+        for band in range(strip.row_start, strip.row_stop, BAND_ROWS):
+            band_stop = min(band + BAND_ROWS, strip.row_stop)
             for i in range(max(count, tiles * span)):
                 marks[i] = NO_BITS
-            add_surface_rows(
-                raw, lowest, highest, scale, offset, v, band, band_stop, left, count, columns[0], sums, marks
-            )
-            subtract_missing(
-                marks, u[left:], v[band:band_stop], tiles, span, last - left, band_stop - band, before, moments
-            )
+            add_surface_rows(frame, offset, v, (band, band_stop), (left, count), columns[0], sums, marks)
+            subtract_missing(marks, (u[left:], v[band:band_stop]), (tiles, span, last - left), before, moments)
         fold_surface_columns(sums, u[left:], tiles, span, moments)
 
 
 @kernel(reduction=True, inline=True)
-def surface_pair_of_rays(a, b, lowest, highest, scale, offset, ua, ub, va, vb, q0):
+def surface_pair_of_rays(pixels, limits, scale, offset, u, v, reference):
     """Σq, Σqu, Σqv, Σquu, Σquv, Σqvv, Σqq of the valid ones among two pixels of a column, and whether each is."""
-    clipped_a, clipped_b = clip(a, lowest, highest), clip(b, lowest, highest)
-    valid_a, valid_b = clipped_a == a, clipped_b == b
-    qa, qb = inverse_depths(np.float64(clipped_a), np.float64(clipped_b), scale, offset)
-    qa = qa - q0 if valid_a else 0.0
-    qb = qb - q0 if valid_b else 0.0
+    valid_a, valid_b, qa, qb = read_pair(pixels, BOTH, limits, scale, offset, None)
+    ua, ub = u
+    va, vb = v
+    qa = qa - reference if valid_a else 0.0
+    qb = qb - reference if valid_b else 0.0
     qua, qub, qva, qvb = qa * ua, qb * ub, qa * va, qb * vb
     return (
         qa + qb,
@@ -365,16 +367,19 @@ def surface_pair_of_rays(a, b, lowest, highest, scale, offset, ua, ub, va, vb, q
 
 
 @kernel(reduction=True, inline=True)
-def add_surface_rows_of_rays(
-    raw, lowest, highest, scale, offset, tan_x, tan_y, row_start, row_stop, left, count, columns, sums, marks
-):  # fmt: skip
+def add_surface_rows_of_rays(frame, offset, rays, rows, columns, reference, sums, marks):
     """Add a band of image rows to the sums of its columns, for rays that differ from pixel to pixel.
 
-    ``columns`` (3, COLUMNS) holds each column's reference point; ``sums`` (7, COLUMNS) are the frame's, in their order.
+    The arguments are those of `add_surface_rows`, but for ``rays``, tan_x and tan_y (H, W); ``reference``
+    (3, COLUMNS), each column's reference point; and ``sums`` (7, COLUMNS), the frame's in their order.
     """
+    raw, lowest, highest, scale = frame
+    tan_x, tan_y = rays
+    row_start, row_stop = rows
+    left, count = columns
     if lowest > highest:
         return  # no value is valid
-    u0, v0, q0 = columns[0], columns[1], columns[2]
+    u0, v0, q0 = reference[0], reference[1], reference[2]
     apart = (row_stop - row_start + 1) // 2
     for row in range(row_start, row_start + apart):
         is_pair = row + apart < row_stop
@@ -387,8 +392,8 @@ def add_surface_rows_of_rays(
         tan_ya, tan_yb = tan_y[row, left : left + count], tan_y[other, left : left + count]
         for i in range(count):
             q, qu, qv, quu, quv, qvv, qq, valid_a, valid_b = surface_pair_of_rays(
-                a[i], b[i], lowest, highest, scale, offset,
-                tan_xa[i] - u0[i], tan_xb[i] - u0[i], tan_ya[i] - v0[i], tan_yb[i] - v0[i], q0[i],
+                (a[i], b[i]), (lowest, highest), scale, offset, (tan_xa[i] - u0[i], tan_xb[i] - u0[i]),
+                (tan_ya[i] - v0[i], tan_yb[i] - v0[i]), q0[i],
             )  # fmt: skip
             sums[0, i] += once * q
             sums[1, i] += once * qu
@@ -401,12 +406,27 @@ def add_surface_rows_of_rays(
 
 
 @kernel(inline="compiled")
-def subtract_missing_rays(marks, tan_x, tan_y, centre, tiles, span, columns, row, rows, left, moments):
-    """Subtract the camera's sums of the missing pixels of a band of rows from ``row`` on, for any rays.
+def subtract_missing_rays(marks, rays, centre, grid, band, left, moments):
+    """Subtract the camera's sums of the missing pixels of a band of rows, for any rays.
 
-    ``tan_x``, ``tan_y`` (H, W) are the camera's, ``centre`` (2, N) the tiles' central rays; the rest is as in
-    `subtract_missing`.
+    Parameters
+    ----------
+    marks : (COLUMNS,) uint64
+        A bit for each valid pixel of a column of the band, the lowest for its first row.
+    rays : tan_x, tan_y, (H, W) float64 each
+    centre : (2, N) float64
+        The tiles' central rays.
+    grid : (tiles, span, columns)
+        Number of tiles, columns of each, and columns that the image has of all of them.
+    band : (row, rows)
+        The first row of the band, and their number.
+    left : int
+        The first column.
+    moments : (CAMERA_SUMS or more, N) float64, changed
     """
+    tan_x, tan_y = rays
+    tiles, span, columns = grid
+    row, rows = band
     full = band_mask(rows)
     for tile in range(tiles):
         start, stop = tile * span, min(tile * span + span, columns)
@@ -441,43 +461,39 @@ def subtract_missing_rays(marks, tan_x, tan_y, centre, tiles, span, columns, row
                 m_uvvv += uv * vv
                 m_vvvv += vv * vv
         write_difference(
-            m_1, m_u, m_v, m_uu, m_uv, m_vv, m_uuu, m_uuv, m_uvv, m_vvv, m_uuuu, m_uuuv, m_uuvv, m_uvvv, m_vvvv,
+            (m_1, m_u, m_v, m_uu, m_uv, m_vv, m_uuu, m_uuv, m_uvv, m_vvv, m_uuuu, m_uuuv, m_uuvv, m_uvvv, m_vvvv),
             tile, moments,
         )  # fmt: skip
 
 
 @kernel(inline="compiled")
-def surface_strip(
-    raw, lowest, highest, scale, offset, tan_x, tan_y, tile_width, centre,
-    row_start, row_stop, tile_start, tile_stop, room, references, moments,
-):  # fmt: skip
-    """Sums as in `surface_strip_separable`, for any camera: tan_x, tan_y are (H, W).
+def surface_strip(frame, offset, rays, centre, strip, scratch, references, moments):
+    """Sums of a strip of tiles, for any camera.
 
-    ``centre`` (2, N) holds the central rays of the tiles.
+    The arguments are those of `surface_strip_separable`, but for ``rays``, tan_x and tan_y (H, W), and ``centre``
+    (2, N), the central rays of the tiles.
     """
-    sums, columns, marks = room[:3]
-    tiles = tile_stop - tile_start
-    strip = Strip(row_start, row_stop, tile_start, tile_stop, tile_width)
-    find_references((raw, lowest, highest, scale), offset, None, strip, references)
-    last = min(tile_stop * tile_width, raw.shape[1])
-    for left in range(tile_start * tile_width, last, COLUMNS):
-        span, count = columns_in_strip(left, last, tile_width, raw.shape[1])
+    width = frame[0].shape[1]
+    sums, columns, marks = scratch[:3]
+    tiles, tile_width = strip.tile_stop - strip.tile_start, strip.tile_width
+    find_references(frame, offset, None, strip, references)
+    last = min(strip.tile_stop * tile_width, width)
+    for left in range(strip.tile_start * tile_width, last, COLUMNS):
+        span, count = columns_in_strip(left, last, tile_width, width)
         for axis in range(2):
             spread_to_columns(centre[axis], tiles, span, columns[axis])
         spread_to_columns(references, tiles, span, columns[2])
         for entry in range(7):
             for i in range(max(count, tiles * span)):
                 sums[entry, i] = 0.0
-        for band in range(row_start, row_stop, BAND_ROWS):
-            band_stop = min(band + BAND_ROWS, row_stop)
+        for band in range(strip.row_start, strip.row_stop, BAND_ROWS):
+            band_stop = min(band + BAND_ROWS, strip.row_stop)
             for i in range(max(count, tiles * span)):
                 marks[i] = NO_BITS
-            add_surface_rows_of_rays(
-                raw, lowest, highest, scale, offset, tan_x, tan_y, band, band_stop, left, count, columns, sums, marks
-            )
+            add_surface_rows_of_rays(frame, offset, rays, (band, band_stop), (left, count), columns, sums, marks)
             subtract_missing_rays(
-                marks, tan_x, tan_y, centre, tiles, span, last - left, band, band_stop - band, left, moments
-            )
+                marks, rays, centre, (tiles, span, last - left), (band, band_stop - band), left, moments
+            )  # fmt: skip
         for tile in range(tiles):
             for entry in range(7):
                 total = 0.0

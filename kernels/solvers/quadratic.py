@@ -145,24 +145,25 @@ def solve_quadratics(moments, reference, count, work):
 
 
 @kernel(inline=True)
-def write_surfaces(
-    work, moments, reference, centre_u, centre_v, needed, max_error, count,
-    coefficients, rmse, rmse_metric, valid_count, status,
-):  # fmt: skip
+def write_surfaces(work, moments, reference, centre, needed, max_error, count, results):
     """From coefficients and residuals to results.
 
     Parameters
     ----------
-    work
-        As `solve_quadratics` leaves it.
-    centre_u, centre_v : (N,) float64
+    work : (QUADRATIC_WORK, TILES) float64
+        Coefficients and residuals in the rows that `solve_quadratics` writes. Overwritten.
+    moments, reference : (SURFACE_SUMS, N) and (N,) float64
+        Sums, and the inverse depths that the sums of q are relative to.
+    centre : (2, N) float64
         The central rays.
     needed : (N,) float64
         Numbers of valid pixels; fewer give TOO_FEW.
     max_error : float
         Tiles with a larger ``rmse_metric`` get ROUGH.
-    coefficients, rmse, rmse_metric, valid_count, status : (6 * N,), (N,)..., written
+    results : coefficients, rmse, rmse_metric, valid_count, status; (6 * N,), (N,)..., written
     """
+    centre_u, centre_v = centre[0], centre[1]
+    coefficients, rmse, rmse_metric, valid_count, status = results
     for i in range(count):
         n = moments[N, i]
         per_pixel = 1.0 / n
