@@ -1,5 +1,6 @@
 """What is said about the package in several places is the same everywhere."""
 
+import importlib
 import itertools
 import re
 import tomllib
@@ -54,3 +55,9 @@ def test_each_library_has_one_lower_bound():
         if bound:
             bounds.setdefault(name, set()).add(version)
     assert {name: found for name, found in bounds.items() if len(found) > 1} == {}
+
+
+def test_the_command_is_a_function():
+    """What an installation runs as ``rgbd-planes``."""
+    module, _, name = PROJECT["scripts"]["rgbd-planes"].partition(":")
+    assert callable(getattr(importlib.import_module(module), name))
