@@ -17,6 +17,7 @@ from rgbd_planes._core.arrays import Floats
 from rgbd_planes._core.checks import plain_array, shaped_array
 from rgbd_planes._core.rotations import as_motion, nearest_rotation
 from rgbd_planes.kernels.statistics.plane_pairs import same_planes
+from rgbd_planes.uncertainty.far_planes import about, covariance_about, covariance_from, is_far
 
 # Share of the squared variances of a normal that rounding leaves of their determinant. For a strip of pixels it is
 # larger: the square of its width over its length.
@@ -75,10 +76,15 @@ def same_plane(
     if entries == 4:
         opposite |= np.sum(first[..., :3] * second[..., :3], axis=-1) < 0.0
         # About a point of the plane: far from it, an error of second order changes d by more than d's own error.
-        axes = _axes_across(first[..., :3] + second[..., :3]) @ _about(_surest(first, first_covariance))
-        turned = np.swapaxes(axes, -1, -2)
+        point = _surest(first, first_covariance)
+        across = _axes_across(first[..., :3] + second[..., :3])
+        turned = np.swapaxes(across, -1, -2)
+        first_covariance, second_covariance = (
+            across @ covariance_about(plane, of_plane, point, _surest(plane, of_plane)) @ turned
+            for plane, of_plane in ((first, first_covariance), (second, second_covariance))
+        )
+        axes = across @ about(point)
         first, second = (np.sum(axes * plane[..., None, :], axis=-1) for plane in (first, second))
-        first_covariance, second_covariance = (axes @ first_covariance @ turned, axes @ second_covariance @ turned)
 
     def flat(array: Floats, entries: tuple[int, ...]) -> Floats:
         # Always copied: the kernel would be compiled both for writable and for read-only arrays.
@@ -132,6 +138,8 @@ def point_distance(
     distance = np.sum(point * plane[..., :3], axis=-1) + plane[..., 3]
     lever = np.concatenate([point, np.ones((*point.shape[:-1], 1))], axis=-1)
     variance = _form(lever, covariance)
+    if is_far(covariance, variance).any():
+        variance = covariance_about(plane, covariance, point, _surest(plane, covariance))[..., 3, 3]
     if spread is not None:
         variance = variance + _form(plane[..., :3], spread)
     distance, variance = np.broadcast_arrays(distance, variance)
@@ -247,7 +255,37 @@ def transform_planes(
     if pose is not None:
         slope = _slope_of_motion(moved[..., :3], translation)
         moved_covariance = moved_covariance + slope @ pose @ np.swapaxes(slope, -1, -2)
+    variance = _variance_across(plane, covariance)
+    if (is_far(covariance, variance) | is_far(moved_covariance, variance)).any():
+        moved_covariance = _moved_far(plane, covariance, moved, rotation, translation, pose)
     return np.broadcast_to(moved, (*leading, 4)).copy(), np.broadcast_to(moved_covariance, (*leading, 4, 4)).copy()
+
+
+def _moved_far(
+    plane: Floats, covariance: Floats, moved: Floats, rotation: Floats, translation: Floats, pose: Floats | None
+) -> Floats:
+    """(..., 4, 4): covariances of moved planes, by way of axes whose origin is on the plane."""
+    surest = _surest(plane, covariance)
+    local = covariance_about(plane, covariance, surest, surest)
+    turn = np.zeros((*rotation.shape[:-2], 4, 4))
+    turn[..., :3, :3], turn[..., 3, 3] = rotation, 1.0
+    local = turn @ local @ np.swapaxes(turn, -1, -2)
+    turned = np.sum(rotation * surest[..., None, :], axis=-1)
+    point = turned + translation
+    if pose is not None:
+        # About the point, by which the plane was moved there, the lever of a turn is no longer than before.
+        slope = _slope_of_motion(moved[..., :3], -turned)
+        local = local + slope @ pose @ np.swapaxes(slope, -1, -2)
+    at_point = np.concatenate([moved[..., :3], np.zeros_like(moved[..., 3:])], axis=-1)
+    off = _surest(at_point, local)
+    variance = _variance_across(at_point, local)
+    return covariance_from(moved, local, point, variance, point + off)
+
+
+def _variance_across(plane: Floats, covariance: Floats) -> Floats:
+    """(...): s², the variance of the distance of a plane's surest point, as far as its digits tell."""
+    surest = _surest(plane, covariance)
+    return _form(np.concatenate([surest, np.ones((*surest.shape[:-1], 1))], axis=-1), covariance)
 
 
 def _slope_of_motion(normal: Floats, translation: Floats) -> Floats:
@@ -322,7 +360,7 @@ def align_planes(
     scatter = np.sqrt(np.trace(first_covariance[:, :3, :3] + second_covariance[:, :3, :3], axis1=1, axis2=2).sum())
     if np.linalg.det(products) < 0.0 and np.linalg.svd(products, compute_uv=False)[-1] > 5.0 * scatter:
         raise ValueError(f"{_SAME_SIDES}, got some that only a reflection brings together")
-    axes = _axes_across(second[:, :3]) @ _about(_surest(second, second_covariance))
+    axes = _axes_across(second[:, :3]) @ about(_surest(second, second_covariance))
     for _ in range(_ROUNDS):
         moved, moved_covariance = transform_planes(first, first_covariance, motion)
         errors = np.sum(axes * (second - moved)[:, None, :], axis=-1)
@@ -390,10 +428,13 @@ def fuse_planes(planes: npt.ArrayLike, plane_covariance: npt.ArrayLike) -> tuple
         raise ValueError("expected planes whose normals point to one side")
     _check_rank(plane[there], covariance[there])
     for _ in range(2):  # from the first plane, and then from the result
-        origin = _about(_surest(fused, fused_covariance))
+        point = _surest(fused, fused_covariance)
+        origin = about(point)
         axes = _axes_across(fused[..., :3]) @ origin
         errors = np.sum(axes[..., None, :, :] * plane[..., None, :], axis=-1)
-        error_covariance = axes[..., None, :, :] @ covariance @ np.swapaxes(axes, -1, -2)[..., None, :, :]
+        across = _axes_across(fused[..., :3])[..., None, :, :]
+        local = covariance_about(plane, covariance, point[..., None, :], _surest(plane, covariance))
+        error_covariance = across @ local @ np.swapaxes(across, -1, -2)
         error_covariance = np.where(there[..., None, None], error_covariance, np.eye(3))
         information = np.where(there[..., None, None], np.linalg.inv(error_covariance), 0.0)
         inverse_sum = np.linalg.inv(np.where(some[..., None, None], information.sum(axis=-3), np.eye(3)))
@@ -410,9 +451,11 @@ def fuse_planes(planes: npt.ArrayLike, plane_covariance: npt.ArrayLike) -> tuple
         slope[..., :3, :2] /= length[..., None]
         slope[..., 3, 2] = 1.0
         back = np.linalg.inv(origin)
-        fused = np.sum(back * np.concatenate([normal, found[..., 2:]], axis=-1)[..., None, :], axis=-1)
-        slope = back @ slope
-        fused_covariance = slope @ inverse_sum @ np.swapaxes(slope, -1, -2)
+        at_point = np.concatenate([normal, found[..., 2:]], axis=-1)
+        fused = np.sum(back * at_point[..., None, :], axis=-1)
+        fused_local = slope @ inverse_sum @ np.swapaxes(slope, -1, -2)
+        variance, off = _variance_across(at_point, fused_local), _surest(at_point, fused_local)
+        fused_covariance = covariance_from(fused, fused_local, point, variance, point + off)
     fused[~some], fused_covariance[~some] = np.nan, np.nan
     return fused, fused_covariance
 
@@ -458,6 +501,9 @@ def _along_axes(plane: Floats, covariance: Floats) -> tuple[Floats, ...]:
 
 def _check_rank(plane: Floats, covariance: Floats) -> None:
     """Refuse covariances unless the errors in two directions, and of d, do not follow from one another."""
+    if is_far(covariance, _variance_across(plane, covariance)).any():
+        surest = _surest(plane, covariance)
+        covariance = covariance_about(plane, covariance, surest, surest)
     _, aa, ab, bb, ad, bd, dd = _along_axes(plane, covariance)
     determinant = aa * bb - ab * ab
     offset_minor = dd * determinant - (bb * ad * ad - 2.0 * ab * ad * bd + aa * bd * bd)
@@ -474,14 +520,6 @@ def _surest(plane: Floats, covariance: Floats) -> Floats:
     return np.asarray(
         a[..., None] * axes[..., 0, :3] + b[..., None] * axes[..., 1, :3] - plane[..., 3:] * plane[..., :3]
     )
-
-
-def _about(point: Floats) -> Floats:
-    """(..., 4, 4): takes (n, d) to that of the same plane in axes whose origin is a point."""
-    matrix = np.zeros((*point.shape[:-1], 4, 4))
-    matrix[...] = np.eye(4)
-    matrix[..., 3, :3] = point
-    return matrix
 
 
 def _leading(**shapes: tuple[int, ...]) -> tuple[int, ...]:
