@@ -301,7 +301,8 @@ class Camera:
         Parameters
         ----------
         depth : (H, W) array_like
-            As `rgbd_planes.fit_tiles` takes it.
+            The frame: floats in metres, or integers in the camera's ``depth_scale``; disparities of a camera that has
+            ``disparity``.
 
         Returns
         -------
@@ -311,7 +312,7 @@ class Camera:
         Raises
         ------
         TypeError, ValueError
-            As `rgbd_planes.fit_tiles`, for a frame that is not this camera's.
+            The frame is not an array of the camera's size, or holds integers without a unit.
         """
         z = as_depth_frame(depth, self).metres
         return np.stack([z * self.tan_x, z * self.tan_y, z], axis=-1)
@@ -338,17 +339,17 @@ class Camera:
         array = real_array("points", points)
         if array.ndim == 0 or array.shape[-1] != 3:
             raise ValueError(f"expected points of shape (..., 3), got {array.shape}")
-        of_points = np.moveaxis(array, -1, 0)
-        z = np.where(of_points[2] > 0, of_points[2], np.nan)
+        coordinates = np.moveaxis(array, -1, 0)
+        z = np.where(coordinates[2] > 0, coordinates[2], np.nan)
         with np.errstate(over="ignore", invalid="ignore"):  # very near the camera's plane, and at infinity
-            x, y = of_points[0] / z, of_points[1] / z
+            x, y = coordinates[0] / z, coordinates[1] / z
             if self.rays is not None:
                 x, y = self.rays.image_of(x, y)
             else:
                 if self.is_distorted:
                     x, y = distortion.image_of_rays(x, y, self.distortion, self.distortion_model)
                 x, y = x * self.fx + self.cx, y * self.fy + self.cy
-        finite = np.logical_and.reduce([np.isfinite(each) for each in (*of_points, x, y)])
+        finite = np.logical_and.reduce([np.isfinite(each) for each in (*coordinates, x, y)])
         return np.stack([np.where(finite, x, np.nan), np.where(finite, y, np.nan)], axis=-1)
 
     def resized(self, width: int, height: int, *, stretched: bool = False) -> Self:
@@ -552,7 +553,7 @@ class Camera:
         Warns
         -----
         UserWarning
-            As `Camera`.
+            The intrinsics are most likely not meant as they are: `Camera` lists how.
         """
         if not isinstance(values, Mapping):
             raise TypeError(f"expected a mapping of camera keys, got {type(values).__name__}")
@@ -606,7 +607,7 @@ class Camera:
         Warns
         -----
         UserWarning
-            As `from_dict`.
+            The intrinsics are most likely not meant as they are: `Camera` lists how.
         """
         values = files.read_calibration(path, name)
         with naming(path):

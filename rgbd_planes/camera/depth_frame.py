@@ -129,7 +129,7 @@ def as_depth_frame(depth: ArrayLike, camera: Units) -> DepthFrame:
     Warns
     -----
     UserWarning
-        As `rgbd_planes.fit_tiles`.
+        Something in the frame is most likely not meant as it is, such as its unit: `rgbd_planes.fit_tiles` lists what.
 
     Notes
     -----

@@ -66,7 +66,8 @@ class Odometry(FixedArguments):
         Parameters
         ----------
         depth : (H, W) array_like, or Frame
-            As `segment` takes it.
+            The frame: floats in metres, or integers in the camera's ``depth_scale``; disparities of a camera that has
+            ``disparity``.
 
         Returns
         -------
@@ -76,12 +77,12 @@ class Odometry(FixedArguments):
         Raises
         ------
         TypeError, ValueError
-            As `segment`. The frame then counts as if it had not been given.
+            The frame cannot be segmented. It then counts as if it had not been given.
 
         Warns
         -----
         UserWarning
-            As `segment`.
+            Something in the frame is most likely not meant as it is, such as its unit: `fit_tiles` lists what.
         """
         frame = as_numbered_frame(self._count, depth, self._camera)
         found = segment_frame(frame, self._camera, *self._given)
@@ -233,7 +234,7 @@ def odometry(frames: Iterable[ArrayLike | Frame], camera: Camera | None = None) 
     Raises
     ------
     TypeError, ValueError
-        As `Odometry`, at once, and as `Odometry.update`, for a frame when it is that frame's turn.
+        The camera cannot be used: at once. Or a frame cannot be used: when it is that frame's turn.
     """
     given = None if camera is None else Odometry(camera)
     return _follow(each_of(frames), given)

@@ -47,16 +47,21 @@ def record(
     ----------
     sequence : FrameSequence
     path : .rrd file
-    tile, method, max_missing, max_error
-        As in `rgbd_planes.fit_tiles`.
+    tile : int or (height, width)
+        Size of a tile in pixels.
+    method : str
+        A method of `rgbd_planes.fit_tiles`.
+    max_missing : float
+        Share of missing pixels above which a tile gets TOO_FEW.
+    max_error : float, optional
+        Tiles with a larger ``rmse_metric``, in metres, get ROUGH.
 
     Raises
     ------
     ModuleNotFoundError
         rerun-sdk is not installed.
     OSError
-        It cannot be written there, or a frame cannot be read for a reason that is not its own, as in
-        `rgbd_planes.fit_sequence`.
+        It cannot be written there, or a frame cannot be read for a reason that would concern all frames.
     TypeError, ValueError
         An argument cannot be used, or no frame can be read and fitted.
 
@@ -105,14 +110,14 @@ def record_segments(sequence: FrameSequence, path: str | os.PathLike[str], *, mi
     sequence : FrameSequence
     path : .rrd file
     min_size : int
-        As in `rgbd_planes.segment`.
+        Pixels that a plane must have.
 
     Raises
     ------
     ModuleNotFoundError
         rerun-sdk or shapely is not installed.
     OSError
-        As `record`.
+        It cannot be written there, or a frame cannot be read for a reason that would concern all frames.
     TypeError, ValueError
         `min_size` cannot be used, or no frame can be read and segmented.
 

@@ -64,19 +64,19 @@ def to_dict(segmentation: Segmented, polygons: Sequence[PlanePolygon] | None = N
     made: dict[str, Any] = {"camera": segmentation.camera.to_dict()}
     if isinstance(segmentation, Segmentation):
         made["sigma"] = segmentation.sigma
-        of_kind = {"covariance": segmentation.plane_covariance.tolist()}
+        columns_of_kind = {"covariance": segmentation.plane_covariance.tolist()}
         sizes = segmentation.sizes
     else:
         made["method"] = segmentation.method
-        of_kind = {"status": [TileStatus(status).name for status in segmentation.status]}
+        columns_of_kind = {"status": [TileStatus(status).name for status in segmentation.status]}
         if segmentation.camera.noise is not None:
-            of_kind |= {"p_value": list(map(finite_or_none, segmentation.p_value))}
-            of_kind |= {"covariance": segmentation.plane_covariance.tolist()}
+            columns_of_kind |= {"p_value": list(map(finite_or_none, segmentation.p_value))}
+            columns_of_kind |= {"covariance": segmentation.plane_covariance.tolist()}
         sizes = segmentation.valid_count
     columns = {
         "label": list(range(1, len(segmentation.planes) + 1)),
         "plane": segmentation.planes.tolist(),
-        **of_kind,
+        **columns_of_kind,
         "size": sizes.tolist(),
         "rmse": list(map(finite_or_none, segmentation.rmse)),
         "rmse_metric": list(map(finite_or_none, segmentation.rmse_metric)),
@@ -97,8 +97,10 @@ def write_json(
     Parameters
     ----------
     path : path
-    segmentation, polygons
-        As in `to_dict`, whose result is written.
+    segmentation : Segmentation or LabelPlanes
+        What `to_dict` gives of it is written.
+    polygons : sequence of PlanePolygon, optional
+        All that `plane_polygons` gave: adds each plane's area, outline, hull and rectangle.
 
     Raises
     ------
@@ -232,8 +234,10 @@ def to_ros_polygons(polygons: Sequence[PlanePolygon], frame_id: str = "", stamp:
     Parameters
     ----------
     polygons : sequence of PlanePolygon
-    frame_id, stamp
-        As in `to_ros_planes`.
+    frame_id : str
+        Name of the camera's optical frame.
+    stamp : float, or a message's stamp
+        Seconds, or a time of ROS: `to_ros_planes` lists the forms.
 
     Returns
     -------
@@ -250,8 +254,11 @@ def to_ros_labels(segmentation: Segmented, frame_id: str = "", stamp: Any = 0.0)
 
     Parameters
     ----------
-    segmentation, frame_id, stamp
-        As in `to_ros_planes`.
+    segmentation : Segmentation or LabelPlanes
+    frame_id : str
+        Name of the camera's optical frame.
+    stamp : float, or a message's stamp
+        Seconds, or a time of ROS: `to_ros_planes` lists the forms.
 
     Raises
     ------

@@ -274,7 +274,8 @@ def points_to_open3d(depth: ArrayLike, camera: Camera) -> open3d.geometry.PointC
     Parameters
     ----------
     depth : (H, W) array_like
-        As `rgbd_planes.fit_tiles` takes it.
+        The frame: floats in metres, or integers in the camera's ``depth_scale``; disparities of a camera that has
+        ``disparity``.
     camera : Camera
 
     Raises
@@ -321,8 +322,12 @@ def to_ros_polygons(tiles: TilePlanes, frame_id: str = "", stamp: Any = 0.0) -> 
 
     Parameters
     ----------
-    tiles, frame_id, stamp
-        As in `to_ros_planes`.
+    tiles : TilePlanes
+        Of one frame.
+    frame_id : str
+        Name of the camera's optical frame.
+    stamp : float, or a message's stamp
+        Seconds, or a time of ROS: `to_ros_planes` lists the forms.
 
     Returns
     -------
@@ -340,8 +345,10 @@ def to_ros_points(depth: ArrayLike, camera: Camera, frame_id: str = "", stamp: A
     ----------
     depth : (H, W) array_like
     camera : Camera
-    frame_id, stamp
-        As in `to_ros_planes`.
+    frame_id : str
+        Name of the camera's optical frame.
+    stamp : float, or a message's stamp
+        Seconds, or a time of ROS: `to_ros_planes` lists the forms.
 
     Returns
     -------
@@ -351,7 +358,8 @@ def to_ros_points(depth: ArrayLike, camera: Camera, frame_id: str = "", stamp: A
     Raises
     ------
     TypeError, ValueError
-        As `rgbd_planes.fit_tiles`, for a frame that is not this camera's, and for what is no name or no stamp.
+        The frame is not an array of the camera's size, or holds integers without a unit. Or the name is no str, or the
+        stamp is no time that ROS can hold.
     """
     check_camera(camera)
     points = _single(camera.points(depth)).astype("<f4")

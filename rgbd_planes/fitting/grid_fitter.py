@@ -82,8 +82,8 @@ class GridFitter(FixedArguments, Generic[Result]):
             Integers in the camera's ``depth_scale`` or ``disparity``, or floats: metres, or, where the camera has
             ``disparity``, disparities.
         out : TilePlanes or TileSurfaces, optional
-            An earlier result for a frame of this fitter: its arrays are written into, with those of its
-            uncertainty if it was asked for that, and it is returned.
+            An earlier result of this fitter for a frame. Its arrays are overwritten, and it is returned. Its
+            uncertainties are written again if they were asked for.
 
         Returns
         -------
@@ -93,13 +93,13 @@ class GridFitter(FixedArguments, Generic[Result]):
         Raises
         ------
         TypeError, ValueError
-            The frame is not an array of the camera's size, or is one of integers without a unit; or ``out`` is not a
-            result of this fitter for one frame.
+            The frame is not an array of the camera's size, or holds integers without a unit. Or ``out`` is not a result
+            of this fitter for one frame.
 
         Warns
         -----
         UserWarning
-            As `fit_tiles`.
+            Something in the frame is most likely not meant as it is, such as its unit: `fit_tiles` lists what.
         """
         return self._fit(as_depth_frame(depth, self.camera), out)
 
@@ -121,11 +121,12 @@ class GridFitter(FixedArguments, Generic[Result]):
 
         Parameters
         ----------
-        frames : (F, H, W) array or sequence of (H, W), or of Frame by this camera, as of `open_sequence`
-            Each is asked for once, if there are eight or more for each thread; threads share fewer. With four threads
-            or more, an array takes less time than a sequence.
+        frames : (F, H, W) array, or sequence of (H, W) array_like or of Frame
+            A `Frame` must come from this fitter's camera, as those of `open_sequence` do. With four threads or more, an
+            array takes less time than a sequence. Each frame is read once if there are eight or more for each thread;
+            otherwise threads share frames, and may read one twice.
         out : TilePlanes or TileSurfaces, optional
-            An earlier result for as many frames, as in `fit`.
+            An earlier result of this fitter for as many frames: it is overwritten and returned.
 
         Returns
         -------
@@ -135,12 +136,12 @@ class GridFitter(FixedArguments, Generic[Result]):
         Raises
         ------
         TypeError, ValueError
-            As `fit`, for each frame; or there is no frame, or no length to count them by.
+            A frame cannot be used, as in `fit`. Or there is no frame, or no length to count them by.
 
         Warns
         -----
         UserWarning
-            As `fit_tiles`, for each frame.
+            Something in a frame is most likely not meant as it is, such as its unit: `fit_tiles` lists what.
         """
         if isinstance(frames, Mapping) or not (hasattr(frames, "__len__") and hasattr(frames, "__getitem__")):
             raise TypeError(f"expected a sequence of frames, got {type(frames).__name__}: fit_stream takes any")
@@ -185,20 +186,23 @@ class GridFitter(FixedArguments, Generic[Result]):
         Yields
         ------
         TilePlanes or TileSurfaces
-            Of one frame, in order. With ``num_threads`` above 1, that many frames are fitted at a time, and read ahead:
-            a frame must then not be overwritten before its result has come. Otherwise each frame is finished before
-            the next is asked for.
+            Of one frame, in order.
 
         Raises
         ------
         TypeError, ValueError
-            As `fit`, in place of the frame's result, after which no more come. Exceptions from ``frames`` itself come
-            after the results of all earlier frames.
+            A frame cannot be used, as in `fit`: the error takes the place of its result, and no more come. Exceptions
+            from ``frames`` itself come after the results of all earlier frames.
 
         Warns
         -----
         UserWarning
-            As `fit_tiles`, for each frame.
+            Something in a frame is most likely not meant as it is, such as its unit: `fit_tiles` lists what.
+
+        Notes
+        -----
+        With ``num_threads`` above 1, that many frames are read ahead and fitted at a time. A frame must then not be
+        overwritten before its result has come. Otherwise each frame is finished before the next is asked for.
         """
         return self._stream(each_of(frames))
 

@@ -134,7 +134,7 @@ def time_of_flight(constant: float = 0.0, linear: float = 0.0) -> NoiseModel:
     Raises
     ------
     TypeError, ValueError
-        As `axial`.
+        A coefficient is not a finite number, or the noise is 0 everywhere or negative somewhere.
     """
     return axial(constant, linear)
 

@@ -54,7 +54,7 @@ def rays_of_image(x: Floats, y: Floats, coefficients: Sequence[float], model: st
     x, y : (H, W) float64
         Normalised coordinates of the pixels, as if there were no distortion.
     coefficients : sequence of floats
-        As many as the model has.
+        The model's coefficients, in OpenCV's order.
     model : str
         One of `MODELS`; the inverse one takes a pixel to its ray by `brown_conrady.distort`.
 

@@ -28,7 +28,8 @@ def principal_curvatures(
     Parameters
     ----------
     depth : (H, W) array_like
-        As `fit_surfaces` takes it.
+        The frame: floats in metres, or integers in the camera's ``depth_scale``; disparities of a camera that has
+        ``disparity``.
     camera : Camera
     window : int
         Side of the square window in pixels: odd, 3 to 31. Wide windows pay: the standard deviation of a curvature falls
@@ -54,7 +55,7 @@ def principal_curvatures(
     Warns
     -----
     UserWarning
-        As `fit_tiles`.
+        Something in the frame is most likely not meant as it is, such as its unit: `fit_tiles` lists what.
 
     Notes
     -----

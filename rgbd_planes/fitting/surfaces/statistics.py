@@ -37,7 +37,7 @@ class SurfaceAssessment:
     camera : Camera
         With a noise model.
     significance : float or None
-        As in `fit_surfaces`.
+        Share of tiles with such a surface that become ROUGH by chance. None is 0.01; 0 is no test.
     centre : (2, T) float64
         The central rays of the parts of a frame.
     sizes : (T, 2) int64

@@ -220,7 +220,7 @@ def fit_surfaces(
     Warns
     -----
     UserWarning
-        As `fit_tiles`.
+        Something in the frame is most likely not meant as it is, such as its unit: `fit_tiles` lists what.
     """
     fitter = SurfaceFitter(
         camera, tile, max_missing=max_missing, max_error=max_error, significance=significance, num_threads=num_threads
