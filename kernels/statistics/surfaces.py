@@ -208,6 +208,18 @@ def deviation(gradient, covariance):
     return math.sqrt(max(total, 0.0))
 
 
+@kernel(inline=True)
+def square_of_product(scale, covariance):
+    """tr((HΣ)²) with the Hessian H of scale·(β₃β₅ - β₄²/4) and the covariance Σ of these three."""
+    total = 0.0
+    for j in range(3):
+        for k in range(3):
+            one = -0.5 * covariance[4, 3 + k] if j == 1 else covariance[5 - j, 3 + k]
+            other = -0.5 * covariance[4, 3 + j] if k == 1 else covariance[5 - k, 3 + j]
+            total += one * other
+    return scale * scale * total
+
+
 @kernel()
 def surface_statistics(
     moments, coefficients, rmse, index, tables, centre, noise, growth, lens, start, stop, results
@@ -273,7 +285,10 @@ def surface_statistics(
             k_1, k_2 = principal_pair(mean_curvature(q, a, b, r, s, t, u, v, d), gaussian_curvature(q, r, s, t, d))
             curvature_gradients(q, a, b, r, s, t, u, v, d, of_mean, of_gaussian)
             results[MEAN_STD, i] = deviation(of_mean, covariance)
-            results[GAUSSIAN_STD, i] = deviation(of_gaussian, covariance)
+            # K is a product: at its estimate the gradient is too large by what noise adds, twice what noise itself
+            # does to a product (Goodman, "On the exact variance of products", JASA 55, 1960).
+            own = 0.5 * square_of_product(4.0 * (d * q) ** 4, covariance)
+            results[GAUSSIAN_STD, i] = math.sqrt(max(deviation(of_gaussian, covariance) ** 2 - own, own))
             # The entries of the shape operator along the principal directions: their sum is 2H, their product K.
             apart = k_1 - k_2
             for row in range(2):

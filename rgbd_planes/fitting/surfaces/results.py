@@ -239,7 +239,7 @@ class SurfaceFits:
 
     @property
     def gaussian_curvature_std(self) -> Floats:
-        """S float64, 1/m²: standard deviation of K, to first order."""
+        """S float64, 1/m²: standard deviation of K, to second order of the terms that it is a product of."""
         return np.asarray(self._statistics(GAUSSIAN_STD, GAUSSIAN_STD + 1)[..., 0])
 
     @property
