@@ -24,6 +24,7 @@ _NAMES = {
     "LabelPlanes": "fitting.labels",
     "LiveView": "export.live",
     "MergedPlanes": "fitting.merge",
+    "MergedSurfaces": "fitting.surfaces.windows",
     "Odometry": "egomotion.odometry",
     "PlanePolygon": "segmentation.polygons",
     "PlaneTracker": "segmentation.tracking",
@@ -36,10 +37,12 @@ _NAMES = {
     "TileSurfaces": "fitting.surfaces.tile_surfaces",
     "TrackedSegmentation": "segmentation.tracking",
     "WindowPlanes": "fitting.windows",
+    "WindowSurfaces": "fitting.surfaces.windows",
     "curvature": "fitting.normals",
     "estimate_noise": "noise_estimation.estimation",
     "fit_labels": "fitting.labels",
     "fit_sequence": "batch.fit_sequence",
+    "fit_surface_windows": "fitting.surfaces.windows",
     "fit_surfaces": "fitting.surfaces.tiles",
     "fit_tiles": "fitting.tiles",
     "fit_windows": "fitting.windows",
@@ -101,6 +104,9 @@ if TYPE_CHECKING:
     from rgbd_planes.fitting.surfaces.tile_surfaces import TileSurfaces as TileSurfaces
     from rgbd_planes.fitting.surfaces.tiles import SurfaceFitter as SurfaceFitter
     from rgbd_planes.fitting.surfaces.tiles import fit_surfaces as fit_surfaces
+    from rgbd_planes.fitting.surfaces.windows import MergedSurfaces as MergedSurfaces
+    from rgbd_planes.fitting.surfaces.windows import WindowSurfaces as WindowSurfaces
+    from rgbd_planes.fitting.surfaces.windows import fit_surface_windows as fit_surface_windows
     from rgbd_planes.fitting.tile_planes import TilePlanes as TilePlanes
     from rgbd_planes.fitting.tiles import TileFitter as TileFitter
     from rgbd_planes.fitting.tiles import fit_tiles as fit_tiles

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,8 @@ from rgbd_planes._core.checks import check_labels, label_array
 from rgbd_planes.fitting.methods import solve_planes
 from rgbd_planes.fitting.results import PlaneFits, allocate
 from rgbd_planes.fitting.saving import Savable, Values, check_fits, check_label_image
+from rgbd_planes.fitting.surfaces.results import SurfaceFits
+from rgbd_planes.fitting.surfaces.windows import MergedSurfaces, merge_surfaces
 from rgbd_planes.kernels.moments.merge import merge_by_label
 from rgbd_planes.uncertainty.correlated_errors import covariances_by_shape, shares_errors
 from rgbd_planes.uncertainty.falloff import EVEN
@@ -50,14 +52,22 @@ class MergedPlanes(Savable, KeepsPixels, PlaneFits):
         return {**values, "_frame_total": float(values["_frame_total"])}
 
 
-def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None = None) -> MergedPlanes:
-    """Fit a plane to each union of tiles.
+@overload
+def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None = None) -> MergedPlanes: ...
+@overload
+def merge(fits: SurfaceFits, labels: npt.ArrayLike, *, significance: float | None = None) -> MergedSurfaces: ...
+
+
+def merge(
+    fits: PlaneFits | SurfaceFits, labels: npt.ArrayLike, *, significance: float | None = None
+) -> MergedPlanes | MergedSurfaces:
+    """Fit a plane, or a surface of second order, to each union of tiles.
 
     Moments about one point add, so the result is that of fitting all pixels of each union at once.
 
     Parameters
     ----------
-    fits : TilePlanes, WindowPlanes, LabelPlanes or MergedPlanes
+    fits : TilePlanes, WindowPlanes, LabelPlanes or MergedPlanes; or TileSurfaces or WindowSurfaces
         Of one frame. Pixels that overlapping windows share count twice.
     labels : array_like of int or bool
         Of the shape of ``fits``: 0 for none, 1..N. Each label has a row in the result; a mask is label 1. Tiles that
@@ -68,8 +78,8 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
 
     Returns
     -------
-    MergedPlanes
-        N planes; a label that no tile has gets TOO_FEW.
+    MergedPlanes or MergedSurfaces
+        N planes or surfaces; a label that no tile has gets TOO_FEW.
 
     Raises
     ------
@@ -78,8 +88,10 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
         Or ``fits`` are a batch's: merge ``fits[i]``. Or ``significance`` is not from 0 to below 1, or the camera has no
         noise model for it.
     """
-    if not isinstance(fits, PlaneFits):
-        raise TypeError(f"expected the planes of a fit, got {type(fits).__name__}")
+    if not isinstance(fits, PlaneFits | SurfaceFits):
+        raise TypeError(f"expected the planes or surfaces of a fit, got {type(fits).__name__}")
+    if isinstance(fits, MergedSurfaces):
+        raise TypeError("expected surfaces of tiles or windows, got unions: merge their parts")
     array = label_array("labels", labels)
     if len(fits.shape) == 3:
         raise ValueError(f"expected the planes of one frame, got a batch of shape {fits.shape}: merge fits[i]")
@@ -89,6 +101,8 @@ def merge(fits: PlaneFits, labels: npt.ArrayLike, *, significance: float | None 
     # There may be more labels of segments than tiles, and more of overlapping windows than pixels.
     check_labels(array, max(array.size, fits.camera.width * fits.camera.height))
     flat = np.array(array, np.int32, order="C").ravel()  # which the result keeps
+    if isinstance(fits, SurfaceFits):
+        return merge_surfaces(fits, flat.reshape(fits.shape), significance)
     count = int(flat.max(initial=0))
     moments, reference = fits._moments.reshape(10, -1), fits._reference.reshape(3, -1)
 

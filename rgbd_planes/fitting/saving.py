@@ -38,7 +38,9 @@ _LONGEST_ABOUT = 2**27  # four bytes a character
 # Keys that tell the classes of files that do not name them: earlier versions wrote such files.
 _ONLY_IN = {"tile": "TilePlanes", "sigma": "Segmentation"}
 # Public classes that read files.
-_KINDS = {"LabelPlanes", "MergedPlanes", "Segmentation", "TilePlanes", "TileSurfaces", "WindowPlanes"}  # fmt: skip
+_KINDS = {
+    "LabelPlanes", "MergedPlanes", "Segmentation", "TilePlanes", "TileSurfaces", "WindowPlanes", "WindowSurfaces",
+}  # fmt: skip
 
 
 class _Arrays(Mapping[str, Any]):

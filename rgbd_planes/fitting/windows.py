@@ -87,7 +87,7 @@ class WindowPlanes(Savable, PlacedFits):
 
     @classmethod
     def _checked(cls, values: Values) -> Values:
-        windows = _check_windows(values["windows"], values["camera"])
+        windows = check_windows(values["windows"], values["camera"])
         check_fits(values, (len(windows),), windows[:, 2:].prod(axis=1))
         return {**values, "windows": windows, "_frame_total": float(values["_frame_total"])}
 
@@ -167,7 +167,7 @@ def fit_windows(
     max_missing = check_share("max_missing", max_missing)
     num_threads = check_num_threads(num_threads)
     error = check_max_error(max_error)
-    rectangles = _check_windows(windows, camera)
+    rectangles = check_windows(windows, camera)
     frame = as_depth_frame(depth, camera)
     warn_of_noise(frame, camera.noise)
 
@@ -201,7 +201,7 @@ def _assessment_of(
     return Assessment(camera, method, significance, windows[:, 2:], footprints(windows), growth)
 
 
-def _check_windows(windows: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.int64]:
+def check_windows(windows: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.int64]:
     """Return the windows as a new contiguous (K, 4) int64 array."""
     array = plain_array("windows", windows)
     if array.ndim == 0:

@@ -38,9 +38,10 @@ def lstsq_surface(q, camera, window, centre, max_missing):
     if count < 6 or q.size - count > max_missing * q.size + 1e-9:
         return oracle.TOO_FEW, count, *nothing
     u, v, q = u[valid] - centre[0], v[valid] - centre[1], q[valid]
-    s, t = np.abs(u).max(), np.abs(v).max()
+    s, t = max(np.abs(u).max(), 1e-9), max(np.abs(v).max(), 1e-9)
     terms = np.column_stack([np.ones_like(u), u / s, v / t, (u / s) ** 2, u * v / s / t, (v / t) ** 2])
-    singular = np.linalg.svd(terms / np.linalg.norm(terms, axis=0), compute_uv=False)
+    size = np.maximum(np.linalg.norm(terms, axis=0), 1e-9)
+    singular = np.linalg.svd(terms / size, compute_uv=False)
     if singular[-1] < 1e-6 * singular[0]:
         return oracle.DEGENERATE, count, *nothing
     beta = np.linalg.lstsq(terms, q)[0]
@@ -295,3 +296,52 @@ def test_pictures_of_surfaces(rng):
     with pytest.raises(ValueError, match="plot them"):
         batch.plot()
     assert "first frame" in batch._repr_html_()
+
+
+@pytest.mark.parametrize("implementation", ["integral", "naive"])
+@pytest.mark.parametrize("holes", ["none", "some"])
+@pytest.mark.parametrize("distortion", ["pinhole", "five"])
+def test_windows_equal_least_squares(implementation, holes, distortion, rng):
+    camera = make_camera(DISTORTIONS[distortion], noise=rp.noise.kinect_v1())
+    depth = as_dtype(make_holes(make_bent(camera, rng), holes, rng), "uint16")
+    windows = np.array([(0, 0, 48, 64), (5, 7, 12, 14), (30, 40, 9, 9), (10, 20, 3, 3), (0, 0, 2, 20), (47, 0, 1, 60)])
+    found = rp.fit_surface_windows(depth, camera, windows, implementation=implementation, max_missing=1.0)
+    q = oracle.inverse_depth(depth, camera)
+    for i, window in enumerate(windows):
+        wanted = lstsq_surface(q, camera, window, found.central_rays[i], 1.0)
+        assert found.valid_count[i] == wanted[1]
+        assert found.fitted[i] == (wanted[0] == oracle.OK)
+        if found.fitted[i] and wanted[5]:
+            close = 1e-9 if implementation == "naive" else 1e-6
+            scale = 10.0 ** -np.array([0, 1, 1, 2, 2, 2])
+            np.testing.assert_allclose(found.coefficients[i] * scale, wanted[2] * scale, rtol=close, atol=close)
+            np.testing.assert_allclose(found.rmse[i], wanted[3], rtol=1e-5, atol=1e-8)
+    assert found.fitted.sum() >= 4
+    one = rp.fit_surfaces(depth, camera, (12, 14), max_missing=1.0)
+    same = rp.fit_surface_windows(depth, camera, oracle.tile_windows(camera, (12, 14)), max_missing=1.0)
+    np.testing.assert_allclose(same.mean_curvature, one.mean_curvature.ravel(), rtol=0.2, atol=0.5)
+    np.testing.assert_allclose(same.p_value, one.p_value.ravel(), atol=1e-5)
+
+
+@pytest.mark.parametrize("distortion", ["pinhole", "five"])
+def test_merged_surfaces_are_those_of_all_pixels(distortion, rng):
+    camera = make_camera(DISTORTIONS[distortion], noise=rp.noise.kinect_v1())
+    depth = as_dtype(make_holes(make_bent(camera, rng), "some", rng), "uint16")
+    tiles = rp.fit_surfaces(depth, camera, 12)
+    labels = np.zeros(tiles.shape, int)
+    labels[:2, :3], labels[2:, 2:] = 1, 3
+    merged = rp.merge(tiles, labels)
+    q = oracle.inverse_depth(depth, camera)
+    assert merged.status[1] == rp.TileStatus.TOO_FEW
+    for i, window in ((0, (0, 0, 24, 36)), (2, (24, 24, 24, 40))):
+        wanted = lstsq_surface(q, camera, window, merged.central_rays[i], 1.0)
+        assert merged.valid_count[i] == wanted[1]
+        scale = 10.0 ** -np.array([0, 1, 1, 2, 2, 2])
+        np.testing.assert_allclose(merged.coefficients[i] * scale, wanted[2] * scale, rtol=1e-9, atol=1e-10)
+        np.testing.assert_allclose(merged.rmse[i], wanted[3], rtol=1e-6)
+        whole = rp.fit_surface_windows(depth, camera, [window])
+        np.testing.assert_allclose(merged.p_value[i], whole.p_value[0], rtol=0.05, atol=1e-4)
+    with pytest.raises(ValueError, match="shape of the planes"):
+        rp.merge(tiles, labels[:1])
+    with pytest.raises(TypeError, match="merge their parts"):
+        rp.merge(merged, [1, 1, 1])

@@ -107,6 +107,11 @@ class SurfaceFits:
         raise NotImplementedError
 
     @property
+    def _footprint(self) -> npt.NDArray[np.int64]:
+        """(T, 5) int64: number of pixels of each part of one frame, missing ones included, Σx, Σy, Σx² and Σy²."""
+        raise NotImplementedError
+
+    @property
     def central_rays(self) -> Floats:
         """S + (2,) float64: tanθx and tanθy of each part's central ray."""
         parts = self._centre.shape[1]

@@ -66,8 +66,8 @@ class TileSurfaces(Savable, SurfaceFits):
         return assessment_of_surfaces(self.camera, 0.0, self.tile)
 
     @property
-    def _sizes(self) -> npt.NDArray[np.int64]:
-        return tile_windows(self.camera.shape, self.tile)[:, 2:]
+    def _footprint(self) -> npt.NDArray[np.int64]:
+        return tile_footprints(self.camera.shape, self.tile)
 
     def _cells(self, rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
         """(H', W') int64: the tile at these rows and columns of pixels, counted row by row of tiles."""
