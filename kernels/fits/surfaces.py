@@ -94,3 +94,32 @@ def fit_surface_tiles(
                 first = last
                 filled = 0
                 block_moments[:] = 0.0
+
+
+@kernel()
+def fit_surface_moments(
+    moments, reference, centre, needed, max_error, start, stop, coefficients, rmse, rmse_metric, valid_count, status
+):
+    """Quadratics from moments: entries ``start`` to ``stop`` of (SURFACE_SUMS, T). Results as in `write_surfaces`.
+
+    ``centre`` (2, T) are the central rays, ``reference`` (T,) the inverse depths that the sums of q are relative to.
+    """
+    block = np.empty((SURFACE_SUMS + 3 + QUADRATIC_WORK, TILES))
+    block_moments = block[:SURFACE_SUMS]
+    block_centre, block_reference = block[SURFACE_SUMS : SURFACE_SUMS + 2], block[SURFACE_SUMS + 2]
+    work = block[SURFACE_SUMS + 3 :]
+    for first in range(start, stop, TILES):
+        last = min(first + TILES, stop)
+        count = last - first
+        copy_columns(moments, first, last, block_moments)
+        copy_columns(centre, first, last, block_centre)
+        for i in range(count):
+            block_reference[i] = reference[first + i]
+        solve_quadratics(block_moments, block_reference, count, work)
+        write_surfaces(
+            work, block_moments, block_reference, block_centre, needed[first:last], max_error, count,
+            (
+                coefficients[6 * first : 6 * last], rmse[first:last], rmse_metric[first:last],
+                valid_count[first:last], status[first:last],
+            ),
+        )  # fmt: skip
