@@ -26,6 +26,7 @@ _NAMES = {
     "MergedPlanes": "fitting.merge",
     "MergedSurfaces": "fitting.surfaces.windows",
     "Odometry": "egomotion.odometry",
+    "PlaneMap": "egomotion.plane_map",
     "PlanePolygon": "segmentation.polygons",
     "PlaneTracker": "segmentation.tracking",
     "Reason": "segmentation.result",
@@ -88,6 +89,7 @@ if TYPE_CHECKING:
     from rgbd_planes.camera.camera import Camera as Camera
     from rgbd_planes.egomotion.odometry import Odometry as Odometry
     from rgbd_planes.egomotion.odometry import odometry as odometry
+    from rgbd_planes.egomotion.plane_map import PlaneMap as PlaneMap
     from rgbd_planes.egomotion.pose import CameraPose as CameraPose
     from rgbd_planes.evaluation import metrics as metrics
     from rgbd_planes.evaluation import scenes as scenes

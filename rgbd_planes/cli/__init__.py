@@ -10,7 +10,8 @@ from rgbd_planes.cli.demo import demo
 from rgbd_planes.cli.fit import fit
 from rgbd_planes.cli.noise import noise
 from rgbd_planes.cli.normals import normals
+from rgbd_planes.cli.odometry import odometry
 from rgbd_planes.cli.segment import segment
 from rgbd_planes.cli.view import view
 
-COMMANDS = (demo, fit, segment, normals, curvature, noise, batch, view)
+COMMANDS = (demo, fit, segment, normals, curvature, noise, odometry, batch, view)

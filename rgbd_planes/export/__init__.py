@@ -10,3 +10,5 @@ from rgbd_planes.export.tiles import to_ros_polygons as to_ros_polygons
 from rgbd_planes.export.tiles import write_json as write_json
 from rgbd_planes.export.tiles import write_ply as write_ply
 from rgbd_planes.export.tiles import write_tiles_ply as write_tiles_ply
+from rgbd_planes.export.trajectories import to_ros_odometry as to_ros_odometry
+from rgbd_planes.export.trajectories import write_trajectory as write_trajectory
