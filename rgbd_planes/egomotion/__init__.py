@@ -1,1 +1,1 @@
-"""How the camera moves through a sequence, with a covariance, from planes and tiles in inverse depth."""
+"""How the camera moves, with a covariance, from planes and tiles in inverse depth. Uses `segmentation` and below."""
