@@ -1,7 +1,7 @@
 """What the documentation claims, measured. Each is run as a module, in a clone of the repository:
 
-- ``python -m bench --out DIR``: the paper's claims, as a report; ``bench.readme`` puts its table into the README
-- ``python -m bench.measured``: docs/measured.md, from what follows here, and the README's other table
+- ``python -m bench --out DIR``: the paper's claims, as a report; ``bench.readme`` puts its table into the docs
+- ``python -m bench.measured``: the pages under "Measured", from what follows here, and the README's table
 - ``bench.user_tasks``, ``bench.peers``: beside OpenCV, Open3D and PCL
 - ``bench.first_call``, ``bench.batch_throughput``, ``bench.roofline``: where the time goes
 - ``bench.real_sensors``, ``bench.uncertainty``: how right planes and their uncertainties are

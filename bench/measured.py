@@ -1,7 +1,7 @@
-"""``python -m bench.measured``: measure what docs/measured.md and a table of the README show, and put it there.
+"""``python -m bench.measured``: measure what the pages under "Measured" and a table of the README show.
 
-What was measured is kept in docs/measured.json, from which ``python -m bench.measured --page`` makes the page's tables
-again; names of sections measure these alone. The section ``roofline`` draws its figure, too.
+What was measured is kept in docs/measured.json, from which ``python -m bench.measured --page`` makes the pages' tables
+and plots again; names of sections measure these alone. The section ``roofline`` draws its figure, too.
 """
 
 import argparse
@@ -14,6 +14,7 @@ from bench import (
     batch_throughput,
     first_call,
     peers,
+    plots,
     real_sensors,
     roofline,
     segmentation,
@@ -24,8 +25,8 @@ from bench import (
 from bench.paper import processor
 from bench.readme import README, with_table
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "measured.md"
-RESULTS = PAGE.with_suffix(".json")
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+RESULTS = DOCS / "measured.json"
 SECTIONS = {
     "tasks": user_tasks,
     "peers": peers,
@@ -37,15 +38,32 @@ SECTIONS = {
     "sensors": real_sensors,
     "uncertainty": uncertainty_real,
 }
+# The page of each section; of the others it is measured.md.
+PAGES = {
+    "peers": "measured/speed.md",
+    "roofline": "measured/speed.md",
+    "first": "measured/speed.md",
+    "batch": "measured/speed.md",
+    "segments": "measured/segments.md",
+    "tracking": "measured/segments.md",
+    "sensors": "measured/accuracy.md",
+    "uncertainty": "measured/uncertainty.md",
+}
 # Those whose tables show times without saying where they were taken.
 TIMED = ("tasks", "first", "batch", "segments")
 
 
-def page_of(text: str, results: dict[str, Any]) -> str:
-    """The page with the tables of these results between its markers."""
+def page_of(name: str) -> str:
+    """The page that shows a section, below ``docs``."""
+    return PAGES.get(name, "measured.md")
+
+
+def text_of(page: str, text: str, results: dict[str, Any]) -> str:
+    """A page with the tables of these results between its markers."""
     for name, section in SECTIONS.items():
-        where = measured_on(results[name]) if name in TIMED else ""
-        text = with_table(text, section.table(results[name]) + where, name)
+        if page_of(name) == page:
+            where = measured_on(results[name]) if name in TIMED else ""
+            text = with_table(text, section.table(results[name]) + where, name)
     return text
 
 
@@ -60,7 +78,7 @@ def measured_on(result: dict[str, Any]) -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Measure, keep the results, and rewrite the page."""
+    """Measure, keep the results, and rewrite the pages."""
     parser = argparse.ArgumentParser(prog="python -m bench.measured", description=__doc__)
     parser.add_argument("sections", nargs="*", metavar="SECTION", help=", ".join(SECTIONS))
     parser.add_argument("--page", action="store_true", help="measure nothing")
@@ -78,9 +96,12 @@ def main(arguments: list[str] | None = None) -> int:
         if name == "roofline":
             roofline.figure(results[name])
     if missing := set(SECTIONS) - set(results):
-        print(f"nothing measured yet of {', '.join(sorted(missing))}: the page stays as it is", file=sys.stderr)
+        print(f"nothing measured yet of {', '.join(sorted(missing))}: the pages stay as they are", file=sys.stderr)
         return 1
-    PAGE.write_text(page_of(PAGE.read_text(encoding="utf-8"), results), encoding="utf-8")
+    for page in {page_of(name): None for name in SECTIONS}:
+        path = DOCS / page
+        path.write_text(text_of(page, path.read_text(encoding="utf-8"), results), encoding="utf-8")
+    plots.draw(results, DOCS / "images")
     README.write_text(readme_of(README.read_text(encoding="utf-8"), results), encoding="utf-8")
     return 0
 

@@ -1,16 +1,24 @@
-"""The documentation's pictures, as its pages' own code draws them: ``python -m bench.pictures [NAME ...]``.
+"""The documentation's pictures: ``python -m bench.pictures [NAME ...]``.
 
-That of the roofline is drawn by ``python -m bench.measured roofline``.
+Those of results are drawn by their pages' own code. The others are drawings, the moving picture of the README, and a
+page in a browser, which needs Chromium. Plots of what was measured are drawn by ``python -m bench.measured``.
 """
 
 import argparse
 import contextlib
+import io
 import re
+import subprocess
+import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+from matplotlib.figure import Figure
 from PIL import Image
 
+from bench import browser, drawings, story
 from rgbd_planes.camera import presets
 from rgbd_planes.evaluation import scenes
 from rgbd_planes.sequences import images
@@ -44,16 +52,65 @@ def draw(name: str) -> None:
         Image.open(PICTURES[name][2]).convert("RGB").save(FOLDER / f"{name}.png", optimize=True)
 
 
+def view() -> None:
+    """Take a picture of ``rgbd-planes view`` in a browser, of a camera that passes through the rendered room."""
+    camera = presets.primesense()
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        for i in range(8):
+            aside, ahead = 0.04 * i, 0.06 * i
+            room = scenes.room((0.35 + aside, -1.5, ahead - 0.4), (aside - 0.12, -0.8, 2.4 + ahead))
+            frame = f"{folder}/frame-{i:06}"
+            images.write_png(f"{frame}.depth.png", room.render(camera).measure(holes=0.03, patches=0.02, seed=i))
+            np.savetxt(f"{frame}.pose.txt", room.camera_to_scene)
+        camera.save(f"{folder}/camera.json")
+        command = [sys.executable, "-m", "rgbd_planes", "view", folder, "--camera", f"{folder}/camera.json"]
+        with subprocess.Popen([*command, "--no-browser"], stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            url = process.stdout.readline().split()[-1]
+            process.stdout.readline()
+            with browser.Browser(f"{folder}/profile", 1300, 800) as page:
+                page.open(url, 30.0)
+                shot = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+            process.terminate()
+    below = 36  # the viewer's own bar
+    shot.crop((0, below, shot.width, shot.height)).quantize(128).save(FOLDER / "view.png", optimize=True)
+
+
+def _drawing(name: str, figure: Callable[[], Figure]) -> Callable[[], None]:
+    return lambda: figure().savefig(FOLDER / f"{name}.png", dpi=110)
+
+
+# Those that no page's code draws, and their files.
+OTHERS: dict[str, tuple[str, Callable[[], None]]] = {
+    "story": ("story.gif", lambda: story.draw(FOLDER / "story.gif")),
+    "view": ("view.png", view),
+    **{
+        name: (f"{name}.png", _drawing(name, figure))
+        for name, figure in (
+            ("axes", drawings.axes),
+            ("inverse_depth", drawings.inverse_depth),
+            ("paper", drawings.paper),
+        )
+    },
+}
+
+
 def main() -> None:
     """Draw all pictures, or those named."""
     parser = argparse.ArgumentParser(prog="python -m bench.pictures", description=__doc__)
-    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(PICTURES))
+    known = [*PICTURES, *OTHERS]
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(known))
     names = parser.parse_args().names
-    if unknown := set(names) - set(PICTURES):
-        parser.error(f"expected of {', '.join(PICTURES)}, got {', '.join(sorted(unknown))}")
-    for name in names or PICTURES:
-        draw(name)
-        print(f"wrote {FOLDER / name}.png")
+    if unknown := set(names) - set(known):
+        parser.error(f"expected of {', '.join(known)}, got {', '.join(sorted(unknown))}")
+    for name in names or known:
+        if name in PICTURES:
+            draw(name)
+            print(f"wrote {FOLDER / name}.png")
+        else:
+            file, work = OTHERS[name]
+            work()
+            print(f"wrote {FOLDER / file}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""``python -m bench.readme DIR/paper.json``: put the benchmark's figures into the README.
+"""``python -m bench.readme DIR/paper.json``: put the benchmark's figures into docs/measured/paper.md.
 
 What stands between ``<!-- bench:paper -->`` and ``<!-- /bench -->`` is replaced by the table.
 """
@@ -12,6 +12,7 @@ from pathlib import Path
 from bench.report import readme_table
 
 README = Path(__file__).resolve().parents[1] / "README.md"
+PAPER = README.parent / "docs" / "measured" / "paper.md"
 
 
 def with_table(text: str, table: str, name: str = "paper") -> str:
@@ -33,18 +34,18 @@ def with_table(text: str, table: str, name: str = "paper") -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Rewrite the README's table."""
+    """Rewrite the page's table."""
     parser = argparse.ArgumentParser(
         prog="python -m bench.readme",
-        description="Replace the README's table by the figures of a benchmark run.",
+        description="Replace the page's table by the figures of a benchmark run.",
         epilog="Example: python -m bench.readme report/paper.json",
     )
     parser.add_argument("json", type=Path, help="paper.json of a run of python -m bench")
-    parser.add_argument("--readme", type=Path, default=README, help="the file to change (README.md)")
+    parser.add_argument("--page", type=Path, default=PAPER, help="the file to change (docs/measured/paper.md)")
     options = parser.parse_args(arguments)
     table = readme_table(json.loads(options.json.read_text(encoding="utf-8")))
-    text = with_table(options.readme.read_text(encoding="utf-8"), table)
-    options.readme.write_text(text, encoding="utf-8")
+    text = with_table(options.page.read_text(encoding="utf-8"), table)
+    options.page.write_text(text, encoding="utf-8")
     return 0
 
 

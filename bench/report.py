@@ -1,4 +1,4 @@
-"""From paper.json to what people read: the report, and the README's table."""
+"""From paper.json to what people read: the report, and the table of docs/measured/paper.md."""
 
 from typing import Any
 
@@ -157,7 +157,7 @@ def to_markdown(result: Result) -> str:
 
 
 def readme_table(result: Result) -> str:
-    """The README's table: all claims for which the paper has figures."""
+    """The page's table: all claims for which the paper has figures."""
     rows = ["| | paper | here |", "|---|---:|---:|"]
     for key, title in COUNTS:
         count = result["op_count"][key]

@@ -30,7 +30,7 @@ def draw(path: Path) -> None:
     """Write the picture, a GIF that repeats."""
     pages = [_page(*parts) for parts in _frames()]
     palette = Image.fromarray(np.concatenate([np.asarray(page) for page in pages[:: len(pages) - 1]]))
-    common = palette.quantize(128, dither=Image.Dither.NONE)
+    common = palette.quantize(192, dither=Image.Dither.NONE)
     first, *rest = [page.quantize(palette=common, dither=Image.Dither.NONE) for page in pages]
     first.save(path, save_all=True, append_images=[*rest, *rest[-2::-1]], duration=160, loop=0, optimize=True)
 
@@ -107,22 +107,24 @@ def _space(tracked: rp.TrackedSegmentation, poses: NDArray[np.float64]) -> Image
 
     width, height = _SIZE
     figure = Figure((width / 100, height / 100), dpi=100)
-    canvas = FigureCanvasAgg(figure)
-    axes = figure.add_axes((-0.25, -0.42, 1.5, 1.72), projection="3d")
+    canvas: Any = FigureCanvasAgg(figure)
+    axes: Any = figure.add_axes((-0.32, -0.58, 1.64, 1.88), projection="3d")
     pose, colours = poses[-1], label_colours(int(tracked.ids.max()))
     for outline in rp.plane_polygons(tracked.segmentation, tolerance=1.0):
         for rings in outline.rings():
             ring = rings[0] @ pose[:3, :3].T + pose[:3, 3]
-            face = Poly3DCollection([ring[:, [0, 2, 1]]], facecolor=colours[tracked.ids[outline.label - 1] - 1], alpha=0.8)
+            face = Poly3DCollection(
+                [ring[:, [0, 2, 1]]], facecolor=colours[tracked.ids[outline.label - 1] - 1], alpha=0.8
+            )
             face.set_edgecolor("black")
             face.set_linewidth(0.4)
             axes.add_collection3d(face)
     path = poses[:, [0, 2, 1], 3]
     axes.plot(*path.T, color="tab:orange", linewidth=2.5)
     axes.scatter(*path[-1:].T, color="black", s=16)
-    axes.set(xlim=(-2.0, 2.0), ylim=(-0.4, 3.9), zlim=(1.6, -1.6))
+    axes.set(xlim=(-2.3, 1.7), ylim=(-0.3, 4.0), zlim=(1.6, -1.6))
     axes.set_box_aspect((4.0, 4.3, 3.2))
-    axes.view_init(elev=32.0, azim=-68.0)
+    axes.view_init(elev=32.0, azim=-104.0)
     axes.set_axis_off()
     canvas.draw()
     return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])

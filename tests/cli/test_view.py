@@ -6,13 +6,13 @@ import subprocess
 import sys
 import time
 
-import browser
 import numpy as np
 import pytest
 from PIL import Image
 from recordings import columns_of
 
 import rgbd_planes as rp
+from bench import browser
 from rgbd_planes.cli import main as cli
 from rgbd_planes.plotting.colours import label_colours
 from rgbd_planes.sequences import images

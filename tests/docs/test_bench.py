@@ -23,6 +23,7 @@ from bench import (
     monte_carlo,
     operations,
     peers,
+    plots,
     readme,
     real_sensors,
     report,
@@ -141,11 +142,11 @@ def test_noise_of_rendered_tiles_is_the_models(quick_run):
         assert row["sigma"][1] == pytest.approx(1.425e-3, rel=0.1)
 
 
-def test_readme_table_replaces_the_old_one(quick_run, tmp_path):
+def test_the_papers_table_replaces_the_old_one(quick_run, tmp_path):
     folder, result = quick_run
     page = tmp_path / "README.md"
     page.write_text("# a\n\n<!-- bench:paper -->\nold\n<!-- /bench -->\n\nrest\n")
-    arguments = [str(folder / "paper.json"), "--readme", str(page)]
+    arguments = [str(folder / "paper.json"), "--page", str(page)]
     assert readme.main(arguments) == 0
     text = page.read_text()
     assert "old" not in text
@@ -162,32 +163,40 @@ def test_readme_without_markers_is_an_error():
         readme.with_table("nothing here", "table")
 
 
-def test_the_page_is_what_was_measured():
-    page, results = measured.PAGE.read_text(), json.loads(measured.RESULTS.read_text())
-    assert measured.page_of(page, results) == page, "run python -m bench.measured --page"
+def test_the_pages_are_what_was_measured():
+    results = json.loads(measured.RESULTS.read_text())
     with_other = results | {"batch": results["batch"] | {"frames": 1}}
-    assert measured.page_of(page, with_other) != page
+    for page in {measured.page_of(name) for name in measured.SECTIONS}:
+        text = (measured.DOCS / page).read_text()
+        assert measured.text_of(page, text, results) == text, "run python -m bench.measured --page"
+        assert (measured.text_of(page, text, with_other) != text) == (page == measured.page_of("batch"))
     text = readme.README.read_text()
     assert measured.readme_of(text, results) == text, "run python -m bench.measured --page"
 
 
-def test_what_every_section_measures_comes_to_the_page(tmp_path, monkeypatch):
+def test_what_every_section_measures_comes_to_its_page(tmp_path, monkeypatch):
     """Whatever kind of thing it returns; tables of times name the processor."""
     results = json.loads(measured.RESULTS.read_text())
     for name, section in measured.SECTIONS.items():
         monkeypatch.setattr(section, "measure", lambda name=name: json.loads(json.dumps(results[name])))
     monkeypatch.setattr(roofline, "figure", lambda result: None)
     monkeypatch.setattr(measured, "processor", lambda: "abacus")
-    for name in ("PAGE", "README", "RESULTS"):
-        file = getattr(measured, name)
-        (tmp_path / file.name).write_text(file.read_text())
-        monkeypatch.setattr(measured, name, tmp_path / file.name)
+    pages = {measured.page_of(name) for name in measured.SECTIONS}
+    for file in (*pages, "measured.json"):
+        (tmp_path / file).parent.mkdir(exist_ok=True)
+        (tmp_path / file).write_text((measured.DOCS / file).read_text())
+    (tmp_path / "images").mkdir()
+    (tmp_path / "README.md").write_text(measured.README.read_text())
+    monkeypatch.setattr(measured, "DOCS", tmp_path)
+    monkeypatch.setattr(measured, "RESULTS", tmp_path / "measured.json")
+    monkeypatch.setattr(measured, "README", tmp_path / "README.md")
     assert measured.main([]) == 0
     kept = json.loads(measured.RESULTS.read_text())
     for name in measured.SECTIONS:
         assert kept[name] == (results[name] | {"processor": "abacus"} if name in measured.TIMED else results[name])
-    assert measured.PAGE.read_text().count("Measured on abacus.") == len(measured.TIMED)
+    assert sum((tmp_path / page).read_text().count("Measured on abacus.") for page in pages) == len(measured.TIMED)
     assert measured.README.read_text().count("Measured on abacus.") == 1
+    assert {path.stem for path in (tmp_path / "images").iterdir()} == set(plots.PLOTS)
 
 
 def test_limits_of_the_machine_are_measured(tmp_path):

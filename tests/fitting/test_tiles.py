@@ -32,9 +32,12 @@ IMPLEMENTATIONS = ("direct", "integral", "naive")
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
 @pytest.mark.parametrize("dtype", ["uint16", "float32", "float64"])
-@pytest.mark.parametrize("holes", ["none", "some", "most", "tiles"])
-@pytest.mark.parametrize("tile", [16, (11, 13)], ids=["divides", "ragged"])
-@pytest.mark.parametrize("distortion", DISTORTIONS)
+@pytest.mark.parametrize(
+    ("holes", "tile"),
+    [("none", (11, 13)), ("some", 16), ("most", (11, 13)), ("tiles", 16)],
+    ids=lambda value: str(value),
+)
+@pytest.mark.parametrize("distortion", ["pinhole", "eight"])
 def test_equals_oracle(method, implementation, dtype, holes, tile, distortion, rng):
     camera = make_camera(DISTORTIONS[distortion])
     depth = as_dtype(make_holes(make_depth(camera, rng), holes, rng), dtype)

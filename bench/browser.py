@@ -9,6 +9,8 @@ import select
 import shutil
 import subprocess
 import time
+from os import PathLike
+from typing import Any, Self
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 _OPTIONS = (
@@ -18,7 +20,7 @@ _OPTIONS = (
 )  # fmt: skip
 
 
-def find():
+def find() -> str | None:
     """The path of a Chromium, or None."""
     return next((path for path in map(shutil.which, NAMES) if path), None)
 
@@ -26,20 +28,28 @@ def find():
 class Browser:
     """One page of a browser of its own, which ends with the block."""
 
-    def __init__(self, profile, width=1400, height=900, dark=False):
+    def __init__(self, profile: str | PathLike[str], width: int = 1400, height: int = 900, dark: bool = False) -> None:
         reads, self._to = (self._high(fd) for fd in os.pipe())
         self._from, writes = (self._high(fd) for fd in os.pipe())
 
-        def connect():
+        def connect() -> None:
             os.dup2(reads, 3)
             os.dup2(writes, 4)
 
-        command = [find(), *_OPTIONS, f"--user-data-dir={profile}", f"--window-size={width},{height}", "about:blank"]
-        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        self._process = subprocess.Popen(command, preexec_fn=connect, pass_fds=(3, 4), **quiet)
+        command = [
+            find() or NAMES[0],
+            *_OPTIONS,
+            f"--user-data-dir={profile}",
+            f"--window-size={width},{height}",
+            "about:blank",
+        ]
+        quiet = subprocess.DEVNULL
+        self._process = subprocess.Popen(command, preexec_fn=connect, pass_fds=(3, 4), stdout=quiet, stderr=quiet)
         os.close(reads)
         os.close(writes)
-        self._numbers, self._rest, self.events, self._session = itertools.count(1), b"", [], None
+        self._numbers, self._rest = itertools.count(1), b""
+        self.events: list[Any] = []
+        self._session: str | None = None
         target = next(t for t in self.call("Target.getTargets")["targetInfos"] if t["type"] == "page")
         attached = self.call("Target.attachToTarget", targetId=target["targetId"], flatten=True)
         self._session = attached["sessionId"]
@@ -50,16 +60,16 @@ class Browser:
             self.call("Emulation.setEmulatedMedia", features=scheme)
 
     @staticmethod
-    def _high(fd):
+    def _high(fd: int) -> int:
         """A copy whose number is neither 3 nor 4, which the browser takes for the pipes."""
         high = fcntl.fcntl(fd, fcntl.F_DUPFD_CLOEXEC, 10)
         os.close(fd)
         return high
 
-    def __enter__(self):
+    def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *error):
+    def __exit__(self, *error: object) -> None:
         self._process.terminate()
         try:
             self._process.wait(10)
@@ -69,10 +79,10 @@ class Browser:
         os.close(self._to)
         os.close(self._from)
 
-    def call(self, method, **parameters):
+    def call(self, method: str, **parameters: Any) -> Any:
         """Send a command and return its result; what happens meanwhile goes to `events`."""
         number = next(self._numbers)
-        message = {"id": number, "method": method, "params": parameters}
+        message: dict[str, Any] = {"id": number, "method": method, "params": parameters}
         if self._session:
             message["sessionId"] = self._session
         os.write(self._to, json.dumps(message).encode() + b"\0")
@@ -84,23 +94,23 @@ class Browser:
                 return answer["result"]
             self.events.append(answer)
 
-    def open(self, url, seconds):
+    def open(self, url: str, seconds: float) -> None:
         """Load a page and let it draw for some seconds."""
         self.call("Page.navigate", url=url)
         self.wait(seconds)
 
-    def wait(self, seconds):
+    def wait(self, seconds: float) -> None:
         """Let the page go on."""
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0:
             if (event := self._next(left, needed=False)) is not None:
                 self.events.append(event)
 
-    def screenshot(self):
+    def screenshot(self) -> bytes:
         """The page as it is, as the content of a PNG file."""
         return base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
 
-    def _next(self, seconds, needed=True):
+    def _next(self, seconds: float, needed: bool = True) -> Any:
         end = time.monotonic() + seconds
         while b"\0" not in self._rest:
             left = max(end - time.monotonic(), 0.0)
