@@ -37,10 +37,10 @@ def axes() -> Figure:
     space.text(*(0.42 * foot + [0.06, 0.05]), "d", color="gray")
     middle = np.array([2.2, 0.9 - 0.35 * 0.7])
     space.annotate("", middle + 0.55 * normal, middle, arrowprops=arrow)
-    space.text(*(middle + 0.62 * normal), "n, towards the camera", ha="center", va="bottom")
+    space.text(*(middle + 0.55 * normal + [0.06, -0.02]), "n, towards the camera", va="center")
     ray = np.array([2.9, 0.9 - 0.35 * 1.4])
     space.plot([0.0, ray[0]], [0.0, ray[1]], "--", color="tab:orange")
-    space.text(*(0.3 * ray + [0.0, 0.02]), "ray of a pixel", color="tab:orange", va="bottom", rotation=-6)
+    space.text(*(0.22 * ray + [0.0, 0.2]), "ray of a pixel", color="tab:orange", va="center", rotation=-8)
     for tip, name in (((0.7, 0.0), "z"), ((0.0, 0.7), "x")):
         space.annotate("", tip, (0.0, 0.0), arrowprops=arrow)
         space.text(*(1.12 * np.array(tip)), name, ha="center", va="center")
@@ -67,6 +67,33 @@ def inverse_depth() -> Figure:
         plot.set_xlabel("tanθx: where a pixel of one row looks")
         plot.set_ylabel("Z, m" if panel == 0 else "1/Z, 1/m")
         _plain(plot)
+    return figure
+
+
+def depth_kinds() -> Figure:
+    """A wall that faces the camera: Z, and the distance along the ray, from pixel to pixel."""
+    figure = Figure((9.0, 3.0), layout="constrained")
+    view, values = figure.subplots(1, 2, width_ratios=[1.2, 1.0])
+    view.plot([-1.6, 1.6], [2.0, 2.0], color=OURS, linewidth=4)
+    for x in (-1.4, -0.7, 0.0, 0.7, 1.4):
+        view.plot([0.0, x], [0.0, 2.0], color="tab:orange", linewidth=1)
+        view.plot([x, x], [0.0, 2.0], ":", color="gray", linewidth=1)
+    view.plot(0.0, 0.0, "ko")
+    view.text(0.75, 0.35, "Z: what this library takes", color="gray")
+    view.text(-1.75, 0.35, "distance along the ray", color="tab:orange")
+    view.set_title("A wall, seen from above", fontsize=10)
+    view.set(xlim=(-2.0, 2.3), ylim=(-0.2, 2.3), aspect="equal")
+    view.set_axis_off()
+    tangent = np.linspace(-0.7, 0.7, 50)
+    values.plot(tangent, np.full(50, 2.0), color="gray", label="Z")
+    values.plot(
+        tangent, 2.0 * np.hypot(1.0, tangent), color="tab:orange", label="distance: taken for Z, the wall bends"
+    )
+    values.set_xlabel("tanθx: where a pixel looks")
+    values.set_ylabel("metres")
+    values.set_ylim(1.9, 2.7)
+    values.legend(frameon=False, loc="upper center")
+    _plain(values)
     return figure
 
 

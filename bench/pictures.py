@@ -29,6 +29,7 @@ FOLDER = ROOT / "docs" / "images"
 PICTURES = {
     "demo": ("README.md", 0, "planes.png"),
     "segments": ("docs/howto/segments.md", 0, "segments.png"),
+    "noise": ("docs/howto/noise.md", 0, "noise.png"),
     "bias": ("docs/howto/bent-floors.md", 0, "bias.png"),
     "fisheye": ("docs/howto/calibration.md", 4, "fisheye.png"),
 }
@@ -76,6 +77,19 @@ def view() -> None:
     shot.crop((0, below, shot.width, shot.height)).quantize(128).save(FOLDER / "view.png", optimize=True)
 
 
+def normals() -> None:
+    """Draw what ``rgbd-planes normals`` draws, of the rendered room."""
+    from rgbd_planes.cli import main as cli
+
+    with tempfile.TemporaryDirectory() as folder:
+        camera = presets.primesense()
+        camera.save(f"{folder}/camera.json")
+        images.write_png(f"{folder}/depth.png", scenes.room().render(camera).measure(holes=0.05, patches=0.03, seed=1))
+        command = ["normals", f"{folder}/depth.png", "--camera", f"{folder}/camera.json", "--window", "11"]
+        cli.main([*command, "--avoid-edges", "--figure", f"{folder}/normals.png"])
+        Image.open(f"{folder}/normals.png").convert("RGB").quantize(200).save(FOLDER / "normals.png", optimize=True)
+
+
 def _drawing(name: str, figure: Callable[[], Figure]) -> Callable[[], None]:
     return lambda: figure().savefig(FOLDER / f"{name}.png", dpi=110)
 
@@ -84,10 +98,12 @@ def _drawing(name: str, figure: Callable[[], Figure]) -> Callable[[], None]:
 OTHERS: dict[str, tuple[str, Callable[[], None]]] = {
     "story": ("story.gif", lambda: story.draw(FOLDER / "story.gif")),
     "view": ("view.png", view),
+    "normals": ("normals.png", normals),
     **{
         name: (f"{name}.png", _drawing(name, figure))
         for name, figure in (
             ("axes", drawings.axes),
+            ("depth_kinds", drawings.depth_kinds),
             ("inverse_depth", drawings.inverse_depth),
             ("paper", drawings.paper),
         )

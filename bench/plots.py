@@ -152,12 +152,53 @@ def segment_scores(results: dict[str, Any]) -> Figure:
     return figure
 
 
+def methods(results: dict[str, Any]) -> Figure:
+    """The median error of normals of tiles, by method."""
+    names = ("range_explicit", "range_implicit", "standard_explicit", "standard_implicit", "standard_pca")
+    figure = Figure((10.5, 2.8), layout="constrained")
+    axes = figure.add_subplot()
+    for tile, colour, shift in ((20, OURS, -0.2), (10, "#80cbc4", 0.2)):
+        errors = {row["system"]: row["median_deg"] for row in results["peers"]["rows"] if row["tile"] == tile}
+        places = [i + shift for i in range(len(names))]
+        bars = axes.barh(
+            places, [errors[name] for name in names], 0.38, color=colour, label=f"tiles of {tile} x {tile}"
+        )
+        axes.bar_label(bars, fmt="%.1f°", fontsize=9, padding=3)
+    axes.set_yticks(range(len(names)), names)
+    axes.invert_yaxis()
+    axes.set_xlabel("median error of the normal, degrees: a rendered room, independent noise of a Kinect's size")
+    axes.legend(frameon=False)
+    _plain(axes)
+    return figure
+
+
+def batch(results: dict[str, Any]) -> Figure:
+    """Frames a second of a batch."""
+    names = {
+        "fit_batch": "fit_batch: fits alone",
+        "long": "fit_sequence: 8192 frames in memory",
+        "memory": "fit_sequence: 2048 frames in memory",
+        "png": "fit_sequence: frames in PNG files",
+    }
+    figure = Figure((10.5, 2.2), layout="constrained")
+    axes = figure.add_subplot()
+    rates = [1e3 / results["batch"]["milliseconds"][name] for name in names]
+    bars = axes.barh(list(names.values()), rates, color=[OTHERS, OURS, OURS, OURS])
+    axes.bar_label(bars, fmt="{:,.0f}", fontsize=9, padding=3)
+    axes.invert_yaxis()
+    axes.set_xlabel("frames of 640 x 480 a second, tiles of 16 x 16, 2 threads")
+    _plain(axes)
+    return figure
+
+
 PLOTS: dict[str, Callable[[dict[str, Any]], Figure]] = {
     "tasks": tasks,
     "speed": speed,
     "accuracy": accuracy,
     "uncertainty": uncertainty,
     "segment_scores": segment_scores,
+    "methods": methods,
+    "batch": batch,
 }
 
 

@@ -19,20 +19,21 @@ from rgbd_planes.plotting.colours import label_colours, normal_colours
 from rgbd_planes.plotting.segments import label_image
 
 CAMERA = rp.Camera(320, 240, 262.5, 262.5, 159.5, 119.5, depth_scale=1000.0)
-FRAMES = 20
-_SIZE = 400, 300  # of a panel
+FRAMES = 16
+_SIZE = 360, 270  # of a panel
 _MARGIN, _CAPTION = 8, 24
 _BACKGROUND, _INK = (255, 255, 255), (40, 40, 40)
 _BENT = np.array([0.93, 0.55, 0.14])
 
 
 def draw(path: Path) -> None:
-    """Write the picture, a GIF that repeats."""
+    """Write the picture, a GIF that repeats, after a look at its end."""
     pages = [_page(*parts) for parts in _frames()]
     palette = Image.fromarray(np.concatenate([np.asarray(page) for page in pages[:: len(pages) - 1]]))
-    common = palette.quantize(192, dither=Image.Dither.NONE)
+    common = palette.quantize(96, dither=Image.Dither.NONE)
     first, *rest = [page.quantize(palette=common, dither=Image.Dither.NONE) for page in pages]
-    first.save(path, save_all=True, append_images=[*rest, *rest[-2::-1]], duration=160, loop=0, optimize=True)
+    held = [160] * len(rest) + [1200]
+    first.save(path, save_all=True, append_images=rest, duration=held, loop=0, optimize=True)
 
 
 def _frames() -> Any:

@@ -16,6 +16,7 @@ from rgbd_planes.cli.arguments import (
     read_sequence,
     write_figure,
 )
+from rgbd_planes.cli.progress import progress, working
 
 if TYPE_CHECKING:
     from rgbd_planes.camera.frame import Frame
@@ -64,7 +65,8 @@ def noise(parser: argparse.ArgumentParser) -> Run:
             raise CommandError(
                 f"expected frames of one camera, got {1 + len(others)}: give --camera, if one is right for all"
             )
-        found = estimate_noise(frames, camera)
+        with working("estimating the noise"):
+            found = estimate_noise(frames, camera)
         evidence = found.evidence
         assert evidence is not None
         print(
@@ -90,7 +92,7 @@ def _readable(sequence: "FrameSequence", chosen: list[int]) -> "list[Frame]":
     from rgbd_planes.sequences.problems import reason_to_skip
 
     frames, skipped = [], []
-    for index in chosen:
+    for index in progress(chosen, len(chosen), "frames"):
         name = sequence.entries[index].name
         try:
             frame = sequence[index]

@@ -17,7 +17,8 @@ import pytest
 from bags import messages, type_store, write_bag
 
 import rgbd_planes as rp
-from bench.pictures import PICTURES, code_of
+from bench.pictures import OTHERS, PICTURES, code_of
+from bench.plots import PLOTS
 from rgbd_planes.camera import presets
 from rgbd_planes.cli import main as cli
 from rgbd_planes.evaluation import scenes
@@ -33,6 +34,7 @@ OPTIONAL = {
     "fit_sequence": "pyarrow",
     "rosbag(": "rosbags",
     "plane_polygons": "shapely",
+    "LiveView": "rerun",
 }
 
 
@@ -188,16 +190,29 @@ def test_what_the_page_on_normals_says_comes_out(files, monkeypatch):
     assert abs(float(re.search(r"moved by ([\d.]+) mm", text)[1]) - 50.0) < 0.5
 
 
-def test_every_picture_is_drawn_by_the_code_of_its_page():
-    shown = {
-        path.stem: page
-        for page in [*PAGES, ROOT / "README.md"]
-        for path in map(Path, re.findall(r"\(\S*?(images/\w+\.png)\)", page.read_text(encoding="utf-8")))
-    }
-    assert set(shown) == {path.stem for path in (ROOT / "docs/images").iterdir()} == {"roofline", *PICTURES}
+def pictures(text):
+    """The files of the pictures that a page shows."""
+    return {Path(path).name for path in re.findall(r"!\[[^]]*\]\(\S*?(images/\w+\.\w+)\)", text)}
+
+
+def test_every_picture_is_shown_and_something_draws_it():
+    shown = {page: pictures(page.read_text(encoding="utf-8")) for page in [*PAGES, ROOT / "README.md"]}
+    drawn = {f"{name}.png" for name in (*PICTURES, *PLOTS, "roofline")} | {file for file, _ in OTHERS.values()}
+    assert set().union(*shown.values()) == {path.name for path in (ROOT / "docs/images").iterdir()} == drawn
     for name, (page, _, file) in PICTURES.items():
-        assert shown[name] == ROOT / page
+        assert f"{name}.png" in shown[ROOT / page] | shown[ROOT / "docs/tutorial.md"]
         assert f'savefig("{file}")' in code_of(name)
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if p.stem != "reference"], ids=lambda page: page.stem)
+def test_a_page_begins_with_a_picture(page):
+    """Or has one after the first code; so the first screen shows what the page is about."""
+    lines = page.read_text(encoding="utf-8").splitlines()
+    assert pictures("\n".join(lines[:26])), f"expected a picture near the top of {page.name}"
+
+
+def test_the_readme_is_short():
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 120
 
 
 def test_every_status_reason_method_and_column_is_explained():
