@@ -37,7 +37,7 @@ def test_the_terminal_is_told_after_two_seconds_and_left_empty(stderr, now):
     seen = []
     for item in progress("abcdefgh", 8, "letters"):
         seen.append(item)
-        now[0] += 0.9
+        now[0] += 0.8
     assert seen == list("abcdefgh")
     told = stderr.getvalue()
     if not stderr.isatty():
