@@ -25,22 +25,22 @@ from rgbd_planes.sequences import images
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "docs" / "images"
-# The page whose code draws it, which of its blocks of Python that is, and the file that it writes.
+# The page of which a block of Python draws it, and the file that this writes.
 PICTURES = {
-    "demo": ("README.md", 0, "planes.png"),
-    "segments": ("docs/howto/segments.md", 0, "segments.png"),
-    "noise": ("docs/howto/noise.md", 0, "noise.png"),
-    "bias": ("docs/howto/bent-floors.md", 0, "bias.png"),
-    "fisheye": ("docs/howto/calibration.md", 4, "fisheye.png"),
+    "demo": ("README.md", "planes.png"),
+    "segments": ("docs/howto/segments.md", "segments.png"),
+    "noise": ("docs/howto/noise.md", "noise.png"),
+    "bias": ("docs/howto/bent-floors.md", "bias.png"),
+    "fisheye": ("docs/howto/calibration.md", "fisheye.png"),
 }
 
 
 def code_of(name: str) -> str:
-    """The code that draws a picture."""
-    page, block, _ = PICTURES[name]
+    """The code that draws a picture: the first block of its page that writes its file."""
+    page, file = PICTURES[name]
     text = (ROOT / page).read_text(encoding="utf-8")
     blocks: list[str] = re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
-    return blocks[block]
+    return next(block for block in blocks if f'savefig("{file}")' in block)
 
 
 def draw(name: str) -> None:
@@ -50,7 +50,7 @@ def draw(name: str) -> None:
         camera.save("camera.json")
         images.write_png("depth.png", scenes.room().render(camera).measure(holes=0.05, patches=0.03, seed=1))
         exec(compile(code_of(name), PICTURES[name][0], "exec"), {})
-        Image.open(PICTURES[name][2]).convert("RGB").save(FOLDER / f"{name}.png", optimize=True)
+        Image.open(PICTURES[name][1]).convert("RGB").save(FOLDER / f"{name}.png", optimize=True)
 
 
 def view() -> None:

@@ -199,9 +199,9 @@ def test_every_picture_is_shown_and_something_draws_it():
     shown = {page: pictures(page.read_text(encoding="utf-8")) for page in [*PAGES, ROOT / "README.md"]}
     drawn = {f"{name}.png" for name in (*PICTURES, *PLOTS, "roofline")} | {file for file, _ in OTHERS.values()}
     assert set().union(*shown.values()) == {path.name for path in (ROOT / "docs/images").iterdir()} == drawn
-    for name, (page, _, file) in PICTURES.items():
+    for name, (page, _) in PICTURES.items():
+        assert code_of(name)
         assert f"{name}.png" in shown[ROOT / page] | shown[ROOT / "docs/tutorial.md"]
-        assert f'savefig("{file}")' in code_of(name)
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if p.stem != "reference"], ids=lambda page: page.stem)
