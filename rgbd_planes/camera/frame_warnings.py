@@ -1,8 +1,9 @@
-"""Warnings that a frame itself gives reason for: distances along the ray, and noise in other units."""
+"""Warnings that a frame itself gives reason for: distances along the ray, inverse depths, noise in other units."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import functools
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -18,42 +19,59 @@ if TYPE_CHECKING:
 _NOT_ROUGH = "nothing is ROUGH, and standard deviations are far too large"
 
 _SAMPLES, _SIDE = 100, 10  # along the longer side of the image, and of a window
-# How much flatter in one reading than in the other, and in how many windows. A ball whose radius is its distance comes
-# out up to 50 times flatter as distances.
-_CLEARLY, _FEWEST = 100.0, 5
-_ROUNDING = 1e-6  # residuals below this share of 1/Z tell nothing
+# How much flatter in one reading than in another, in how many windows, and how many times more than the other way.
+_CLEARLY, _FEWEST, _MANY_MORE = 2.0, 5, 10
+_ROUNDING = {8: 1e-9, 4: 3e-7}  # residuals below this share of a value tell nothing, by the bytes of a number
+# Of what is left of a flat window, neighbours differ by rounding or noise; a ball leaves what changes slowly.
+_UNLIKE = 0.2
+_STEPS = 9  # between the different values of a window: an upright wall has one value in each column
 
 
 def warn_of_distances(frame: DepthFrame, camera: Camera) -> None:
-    """Warn of a frame that most likely holds distances along the ray."""
-    if _are_distances(frame, camera):
+    """Warn of a frame that most likely holds distances along the ray, or inverse depths, instead of depth."""
+    reading = _reading(frame, camera)
+    if reading == "distance":
         warn_caller(
             "this frame's surfaces are bent as depth along the optical axis, and flat as distances along the ray: if "
             "it holds distances, divide it by np.sqrt(1 + camera.tan_x**2 + camera.tan_y**2)"
         )
+    elif reading == "inverse":
+        warn_caller(
+            "this frame's surfaces are bent as depth, and flat as the numbers are: if it holds inverse depths, as "
+            "networks give, a camera with disparity=(scale, offset) reads them; of a renderer's z-buffer of 0 to 1 "
+            "between near and far that is disparity=(-(1 / near - 1 / far), 1 / near)"
+        )
 
 
-def _are_distances(frame: DepthFrame, camera: Camera) -> bool:
-    """Whether surfaces are flat if the numbers are distances, and bent if they are depth.
-
-    Only frames of floats without noise tell, as renderers make them; all others pass.
-    """
-    if frame.is_disparity or frame.step > 0.0:
-        return False
+def _reading(frame: DepthFrame, camera: Camera) -> str:
+    """As what surfaces of a frame are flat that are bent as depth: "distance", "inverse", or ""."""
+    if frame.is_disparity:
+        return ""
     step = max(1, max(camera.shape) // _SAMPLES)
-    x, y = (_windows(tangents[::step, ::step]) for tangents in (camera.tan_x, camera.tan_y))
+    basis, ray = _bases(camera._lens, step)
     q = _windows(frame._replace(raw=frame.raw[::step, ::step]).inverse_depth)
-    telling = np.isfinite(q).all(axis=1) & (np.ptp(q, axis=1) > 0.0)  # a sky has the same number everywhere
-    q, x, y = q[telling], x[telling], y[telling]
-    if len(q) < _FEWEST:
-        return False
-    basis = np.linalg.qr(np.stack([x, y, np.ones_like(x)], axis=-1))[0]
+    # A sky has the same number everywhere, and few steps of rounding are flat in many ways.
+    telling = np.isfinite(q).all(axis=1) & (np.count_nonzero(np.diff(np.sort(q, axis=1), axis=1), axis=1) >= _STEPS)
+    if np.count_nonzero(telling) < _FEWEST:
+        return ""
+    q, basis, ray = q[telling], basis[telling], ray[telling]
+    least = _ROUNDING[4 if frame.raw.dtype.itemsize <= 4 else 8]
     as_depth = _residual(basis, q)
-    as_distance = _residual(basis, q * np.sqrt(1.0 + x * x + y * y))
-    bent, flat = as_depth > _ROUNDING, as_distance > _ROUNDING
-    for_distance = int(np.count_nonzero(bent & (_CLEARLY * as_distance < as_depth)))
-    for_depth = int(np.count_nonzero(flat & (_CLEARLY * as_depth < as_distance)))
-    return for_distance >= _FEWEST and for_depth == 0
+    for reading, values in (("distance", q * ray), ("inverse", 1.0 / q)):
+        other = _residual(basis, values)
+        for_it = (as_depth.share > least) & (other.share * _CLEARLY < as_depth.share)
+        for_it &= (other.share < least) | (other.unlike > _UNLIKE)
+        for_depth = (other.share > least) & (as_depth.share * _CLEARLY < other.share)
+        if int(np.count_nonzero(for_it)) >= max(_FEWEST, _MANY_MORE * int(np.count_nonzero(for_depth))):
+            return reading
+    return ""
+
+
+@functools.lru_cache(maxsize=4)
+def _bases(camera: Camera, step: int) -> tuple[Floats, Floats]:
+    """(K, P, 3) orthonormal bases of the planes of each window, and (K, P) lengths of its rays."""
+    x, y = (_windows(tangents[::step, ::step]) for tangents in (camera.tan_x, camera.tan_y))
+    return np.linalg.qr(np.stack([x, y, np.ones_like(x)], axis=-1))[0], np.sqrt(1.0 + x * x + y * y)
 
 
 def _windows(image: Floats) -> Floats:
@@ -63,10 +81,27 @@ def _windows(image: Floats) -> Floats:
     return whole.swapaxes(1, 2).reshape(rows * columns, _SIDE * _SIDE)
 
 
-def _residual(basis: Floats, values: Floats) -> Floats:
-    """(K,): root mean square residual of planes fitted to the values, as a share of their mean."""
-    planar = (basis @ (basis.swapaxes(1, 2) @ values[:, :, None]))[:, :, 0]
-    return np.asarray(np.sqrt(np.mean((values - planar) ** 2, axis=1)) / np.mean(values, axis=1))
+class _Left(NamedTuple):
+    """What planes fitted to the values of windows leave: (K,) each.
+
+    Attributes
+    ----------
+    share : root mean square, as a share of the values' mean.
+    unlike : how much neighbours differ, 1 for noise that they do not share, 0 for what is smooth.
+    """
+
+    share: Floats
+    unlike: Floats
+
+
+def _residual(basis: Floats, values: Floats) -> _Left:
+    left = values - (basis @ (basis.swapaxes(1, 2) @ values[:, :, None]))[:, :, 0]
+    square = np.mean(left * left, axis=1)
+    field = left.reshape(-1, _SIDE, _SIDE)
+    differences = [np.mean(np.diff(field, axis=axis) ** 2, axis=(1, 2)) for axis in (1, 2)]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        unlike = np.minimum(*differences) / (2.0 * square)
+    return _Left(np.sqrt(square) / np.mean(np.abs(values), axis=1), unlike)
 
 
 def warn_of_noise(frame: DepthFrame, noise: NoiseModel | None, result: str = _NOT_ROUGH) -> bool:

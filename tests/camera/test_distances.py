@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 
 import rgbd_planes as rp
+from bench import real_data
 from rgbd_planes.camera.depth_frame import as_depth_frame
 from rgbd_planes.camera.frame_warnings import warn_of_distances
 from rgbd_planes.cli import main as cli
@@ -71,13 +72,41 @@ def test_a_patch_that_is_flat_as_distances_is_not_enough(camera):
     assert not says_so(np.where(np.isnan(patch), wall, patch), camera)
 
 
+@pytest.mark.parametrize("name", ["kinect", "distorted", "wide", "small"])
+def test_distances_that_were_rounded_or_have_a_little_noise_are_told(name, rng):
+    """And depths of the same kind are not."""
+    camera = replace(CAMERAS[name], depth_scale=1000.0)
+    depth = scenes.room().render(camera).depth
+    for made in (
+        lambda frame: np.rint(1000.0 * frame).astype(np.uint16),
+        lambda frame: np.rint(1e6 * frame).astype(np.int32) / 1e6,
+        lambda frame: frame.astype(np.float16),
+        lambda frame: frame + 1e-4 * rng.normal(size=frame.shape),
+    ):
+        assert says_so(made(depth * ray(camera)), camera)
+        assert not says_so(made(depth), camera)
+
+
 @cameras
-def test_distances_that_were_rounded_pass(camera):
-    """However small the steps: integers are a sensor's."""
-    distance = scenes.room().render(camera).depth * ray(camera)
-    micrometres = np.rint(1e6 * distance).astype(np.int32)
-    assert says_so(micrometres / 1e6, camera)
-    assert not says_so(micrometres, replace(camera, depth_scale=1e6))
+def test_inverse_depths_and_z_buffers_are_told(camera):
+    depth = scenes.room().render(camera).depth
+    near, far = 0.1, 20.0
+    buffer = (1.0 / near - 1.0 / depth) / (1.0 / near - 1.0 / far)
+    for frame in (buffer, 1.0 / depth, (30.0 / depth + 5.0).astype(np.float32)):
+        with pytest.warns(UserWarning, match="flat as the numbers are: if it holds inverse depths") as told:
+            warn_of_distances(as_depth_frame(frame, camera), camera)
+        assert len(told) == 1
+    read = replace(camera, disparity=(-(1.0 / near - 1.0 / far), 1.0 / near))
+    np.testing.assert_allclose(read.points(buffer)[..., 2], depth, rtol=1e-9)
+    warn_of_distances(as_depth_frame(buffer, read), read)  # nothing is said: warnings are errors here
+
+
+@pytest.mark.skipif(not real_data.FOLDER.is_dir(), reason=real_data.REASON)
+def test_real_frames_are_depth():
+    files = sorted(real_data.FOLDER.glob("*/depth/*.png"))
+    for file in files[:: max(1, len(files) // 40)]:
+        camera = rp.Camera.load(file.parents[1] / "camera.json")
+        warn_of_distances(as_depth_frame(rp.images.read_depth(file), camera), camera)
 
 
 @cameras
