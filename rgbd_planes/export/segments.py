@@ -7,7 +7,6 @@ cannot be written an OSError.
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
@@ -16,12 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes._core.arrays import Floats
-from rgbd_planes._core.files import write_beside
 from rgbd_planes._core.status import TileStatus
 from rgbd_planes._core.text import counted
+from rgbd_planes.export.json_files import finite_or_none, write_json_file
 from rgbd_planes.export.open3d import triangle_mesh
+from rgbd_planes.export.ply import write_ply
 from rgbd_planes.export.ros import ros_header, ros_planes, ros_polygons
-from rgbd_planes.export.tiles import finite_or_none, write_ply
 from rgbd_planes.fitting.labels import LabelPlanes
 from rgbd_planes.fitting.tile_planes import TilePlanes
 from rgbd_planes.plotting.colours import NO_PLANE, label_colours
@@ -112,9 +111,7 @@ def write_json(
     OSError
         It cannot be written there.
     """
-    with write_beside(path, ".json") as beside:
-        text = json.dumps(to_dict(segmentation, polygons), allow_nan=False)
-        beside.write_text(text + "\n", encoding="utf-8")
+    write_json_file(path, to_dict(segmentation, polygons))
 
 
 def write_labels(path: str | os.PathLike[str], segmentation: Segmented) -> None:

@@ -1,4 +1,4 @@
-"""Planes of tiles, and points, for other tools: Open3D, PLY, ROS, JSON.
+"""Planes of tiles for other tools: Open3D, PLY, ROS, JSON.
 
 `rp.segmentation_export` is for segments, `rp.recording` for rerun.
 
@@ -9,23 +9,19 @@ written an OSError.
 
 from __future__ import annotations
 
-import json
-import math
 import os
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from rgbd_planes._core.arrays import Floats
-from rgbd_planes._core.checks import plain_array, real_array
-from rgbd_planes._core.files import write_beside
-from rgbd_planes._core.optional_imports import needs
 from rgbd_planes._core.status import TileStatus
-from rgbd_planes.camera.camera import Camera, check_camera
 from rgbd_planes.camera.rays import rays_through
+from rgbd_planes.export.json_files import finite_or_none, write_json_file
 from rgbd_planes.export.open3d import triangle_mesh
-from rgbd_planes.export.ros import ros_header, ros_planes, ros_polygons
+from rgbd_planes.export.ply import write_ply
+from rgbd_planes.export.ros import ros_planes, ros_polygons
 from rgbd_planes.fitting.tile_planes import TilePlanes
 from rgbd_planes.plotting.colours import in_image, normal_colours
 
@@ -150,90 +146,7 @@ def write_json(path: str | os.PathLike[str], tiles: TilePlanes) -> None:
     OSError
         It cannot be written there.
     """
-    with write_beside(path, ".json") as beside:
-        beside.write_text(json.dumps(to_dict(tiles), allow_nan=False) + "\n", encoding="utf-8")
-
-
-def write_ply(
-    path: str | os.PathLike[str],
-    points: ArrayLike,
-    *,
-    normals: ArrayLike | None = None,
-    colours: ArrayLike | None = None,
-    faces: ArrayLike | None = None,
-) -> None:
-    """Write points, or a mesh, as a binary PLY file; whole or not at all.
-
-    Parameters
-    ----------
-    path : path
-    points : (..., 3) array_like
-        Metres. Points that are not finite, in single precision, are left out, if there are no faces.
-    normals : (..., 3) array_like, optional
-        Those that are not finite are written as zeros.
-    colours : (..., 3) array_like, optional
-        RGB in 0..1.
-    faces : (F, K) array_like of int, optional
-        Polygons of K points each, by the numbers of the points.
-
-    Raises
-    ------
-    TypeError
-        The arrays are masked, or not of numbers.
-    ValueError
-        Arrays of other shapes, colours outside 0..1, a face with a point that does not exist, or a path with the suffix
-        of another format.
-    """
-    xyz = _single(_triples("points", points))
-    written = np.isfinite(xyz).all(axis=1) if faces is None else np.ones(len(xyz), bool)
-    columns = [("xyz"[i], "<f4", xyz[written, i]) for i in range(3)]
-    if normals is not None:
-        n = _single(_triples("normals", normals, len(xyz)))
-        n[~np.isfinite(n).all(axis=1)] = 0.0  # viewers show a point without a normal, but not one with NaN
-        columns += [("n" + "xyz"[i], "<f4", n[written, i]) for i in range(3)]
-    if colours is not None:
-        shares = _triples("colours", colours, len(xyz))[written]
-        rgb = np.rint(255.0 * shares)
-        if not ((rgb >= 0) & (rgb <= 255)).all():  # as 0 to 255 nearly all would be white
-            raise ValueError(f"colours must be RGB in 0..1, got {shares.min():g} to {shares.max():g}")
-        columns += [(("red", "green", "blue")[i], "u1", rgb[:, i]) for i in range(3)]
-    vertices = np.empty(np.count_nonzero(written), [(name, dtype) for name, dtype, _ in columns])
-    for name, _, values in columns:
-        vertices[name] = values
-    names = {"<f4": "float", "u1": "uchar"}
-    header = ["ply", "format binary_little_endian 1.0", "comment metres, x right, y down, z forward"]
-    header.append(f"element vertex {len(vertices)}")
-    header += [f"property {names[dtype]} {name}" for name, dtype, _ in columns]
-    body = vertices.tobytes()
-    if faces is not None:
-        corners = plain_array("faces", faces)
-        if corners.ndim != 2 or not 3 <= corners.shape[1] < 256 or corners.dtype.kind not in "iu":
-            raise ValueError(f"faces must be (F, K) integers, K from 3 to 255, got {corners.shape} of {corners.dtype}")
-        if corners.size and not 0 <= corners.min() <= corners.max() < len(xyz):
-            raise ValueError(
-                f"faces must be numbers of points, 0 to {len(xyz) - 1}, got {corners.min()} to {corners.max()}"
-            )
-        polygons = np.empty(len(corners), [("count", "u1"), ("corners", "<i4", corners.shape[1])])
-        polygons["count"], polygons["corners"] = corners.shape[1], corners
-        header += [f"element face {len(corners)}", "property list uchar int vertex_indices"]
-        body += polygons.tobytes()
-    with write_beside(path, ".ply") as beside:
-        beside.write_bytes("\n".join([*header, "end_header\n"]).encode("ascii") + body)
-
-
-def _triples(name: str, values: ArrayLike, count: int | None = None) -> Floats:
-    """(N, 3) float64 from (..., 3) numbers; N must be ``count``, if that is given."""
-    array = real_array(name, values)
-    if array.shape[-1:] != (3,) or count not in (None, array.size // 3):
-        expected = "(..., 3)" if count is None else f"(..., 3), {count} in all, as many as points"
-        raise ValueError(f"expected {name} of shape {expected}, got {array.shape}")
-    return array.reshape(-1, 3)
-
-
-def _single(values: Floats) -> NDArray[np.float32]:
-    """Numbers in single precision: infinite where they are too large for it."""
-    with np.errstate(over="ignore"):
-        return values.astype(np.float32)
+    write_json_file(path, to_dict(tiles))
 
 
 def write_tiles_ply(path: str | os.PathLike[str], tiles: TilePlanes) -> None:
@@ -266,28 +179,6 @@ def to_open3d(tiles: TilePlanes) -> open3d.geometry.TriangleMesh:
     points, normals, colours = _tile_mesh(tiles)
     quads = np.arange(len(points)).reshape(-1, 4)
     return triangle_mesh(points, quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3), normals, colours)
-
-
-def points_to_open3d(depth: ArrayLike, camera: Camera) -> open3d.geometry.PointCloud:
-    """Return the measured points of a depth frame as an Open3D point cloud, missing ones left out.
-
-    Parameters
-    ----------
-    depth : (H, W) array_like
-        The frame: floats in metres, or integers in the camera's ``depth_scale``; disparities of a camera that has
-        ``disparity``.
-    camera : Camera
-
-    Raises
-    ------
-    ModuleNotFoundError
-        open3d is not installed.
-    """
-    with needs("open3d", None):
-        import open3d
-    check_camera(camera)
-    points = camera.points(depth).reshape(-1, 3)
-    return open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points[np.isfinite(points[:, 2])]))
 
 
 def to_ros_planes(tiles: TilePlanes, frame_id: str = "", stamp: Any = 0.0) -> dict[str, Any]:
@@ -338,45 +229,6 @@ def to_ros_polygons(tiles: TilePlanes, frame_id: str = "", stamp: Any = 0.0) -> 
     return ros_polygons(list(polygons), list(range(1, len(polygons) + 1)), frame_id, stamp)
 
 
-def to_ros_points(depth: ArrayLike, camera: Camera, frame_id: str = "", stamp: Any = 0.0) -> dict[str, Any]:
-    """Return the points of a depth frame in the shape of sensor_msgs/PointCloud2, organised as the frame.
-
-    Parameters
-    ----------
-    depth : (H, W) array_like
-    camera : Camera
-    frame_id : str
-        Name of the camera's optical frame.
-    stamp : float, or a message's stamp
-        Seconds, or a time of ROS: `to_ros_planes` lists the forms.
-
-    Returns
-    -------
-    dict
-        Fields x, y, z of float32; NaN where the depth is missing.
-
-    Raises
-    ------
-    TypeError, ValueError
-        The frame is not an array of the camera's size, or holds integers without a unit. Or the name is no str, or the
-        stamp is no time that ROS can hold.
-    """
-    check_camera(camera)
-    points = _single(camera.points(depth)).astype("<f4")
-    height, width, _ = points.shape
-    return {
-        "header": ros_header(frame_id, stamp),
-        "height": height,
-        "width": width,
-        "fields": [{"name": "xyz"[i], "offset": 4 * i, "datatype": 7, "count": 1} for i in range(3)],
-        "is_bigendian": False,
-        "point_step": 12,
-        "row_step": 12 * width,
-        "data": points.tobytes(),
-        "is_dense": bool(np.isfinite(points).all()),
-    }
-
-
 def _tile_mesh(tiles: TilePlanes) -> tuple[Floats, Floats, Floats]:
     """Four points for each polygon, with their normals and colours."""
     polygons, planes = polygons_of(tiles)
@@ -392,8 +244,3 @@ def _check_one_frame(tiles: TilePlanes) -> None:
         raise TypeError(f"expected TilePlanes, got {kind}{where}")
     if len(tiles.shape) != 2:
         raise ValueError(f"expected the tiles of one frame, got a batch of shape {tiles.shape}: take tiles[i]")
-
-
-def finite_or_none(value: float) -> float | None:
-    """A number as JSON has it, which has no infinity and no NaN."""
-    return float(value) if math.isfinite(value) else None
