@@ -10,6 +10,7 @@ import numpy as np
 
 from .._jit.kernel import kernel
 from ..common.depth import depth, inverse_depth
+from .summed_area import value_row
 from .surface_tiles import QQ, QU, QUU, QUV, QV, QVV, N, Q
 
 # Channels of the tables of the explicit quadratic in range space: q, qu, qv, quu, quv, qvv and, for residuals, q².
@@ -30,20 +31,20 @@ def range_surface_tables(frame, rays, reference, tables):
         Inverse depth that q is relative to, for residuals that lose no digits.
     tables : (H + 1, W + 1, RANGE_EXPLICIT or RANGE_EXPLICIT_RESIDUAL) float64, written
     """
-    raw, lowest, highest, scale, offset, is_disparity = frame
     tan_x, tan_y = rays
     height, width = tan_x.shape
     squares = tables.shape[2] == RANGE_EXPLICIT_RESIDUAL
+    line = np.empty(width)
     tables[0] = 0.0
     for row in range(height):
+        value_row(frame, None, row, line)  # in a loop of its own: so the divisions vectorise
         above, below = tables[row], tables[row + 1]
         below[0] = 0.0
-        values, u_row, v_row = raw[row], tan_x[row], tan_y[row]
+        u_row, v_row = tan_x[row], tan_y[row]
         s_q = s_qu = s_qv = s_quu = s_quv = s_qvv = s_qq = 0.0
         for column in range(width):
-            value = values[column]
-            q = inverse_depth(value, scale, offset, is_disparity)
-            q = q - reference if lowest <= value <= highest else 0.0
+            q = line[column]
+            q = q - reference if q != 0.0 else 0.0
             u, v = u_row[column], v_row[column]
             qu, qv = q * u, q * v
             s_q += q
