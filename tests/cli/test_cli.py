@@ -759,3 +759,23 @@ def test_demo_knows_before_the_work_that_it_cannot_write(tmp_path, capsys):
 def test_a_share_is_none_or_all_only_if_it_is():
     shares = {0.0: "0.0 %", 1e-5: "0.1 %", 0.5: "50.0 %", 0.99999: "99.9 %", 1.0: "100.0 %"}
     assert {share: percent(share) for share in shares} == shares
+
+
+def test_curvature_writes_surfaces_a_table_and_a_picture(folder, capsys):
+    arguments = ["curvature", "depth.png", "--camera", "camera.json", "--noise", "kinect_v1", "--tile", "12"]
+    assert cli.main([*arguments, "--out", "bent.npz", "--figure", "bent.png"]) == 0
+    out = capsys.readouterr().out
+    assert "5 x 7 tiles of 12 x 12 pixels" in out
+    assert "Curved (p < 0.01):" in out
+    found = rp.TileSurfaces.load("bent.npz")
+    assert found.shape == (5, 7)
+    with Image.open("bent.png") as picture:
+        assert picture.width > 1000
+    assert cli.main([*arguments, "--out", "bent.csv"]) == 0
+    capsys.readouterr()
+    lines = (folder / "bent.csv").read_text().splitlines()
+    assert len(lines) == 1 + found.status.size
+    assert lines[0].startswith("row,column,top,left")
+    assert cli.main(["curvature", "depth.png", "--camera", "camera.json"]) == 0
+    assert "--noise" in capsys.readouterr().out
+    assert "at least 3 x 3" in fails(capsys, "curvature", "depth.png", "--camera", "camera.json", "--tile", "2")
