@@ -24,6 +24,7 @@ _CLEARLY, _FEWEST, _MANY_MORE = 2.0, 5, 10
 _ROUNDING = {8: 1e-9, 4: 3e-7}  # residuals below this share of a value tell nothing, by the bytes of a number
 # Of what is left of a flat window, neighbours differ by rounding or noise; a ball leaves what changes slowly.
 _UNLIKE = 0.2
+_OF_FLOAT16 = 5e-4  # the same of floats of 16 bits, whose steps alone may be flatter as numbers
 _STEPS = 9  # between the different values of a window: an upright wall has one value in each column
 
 
@@ -56,10 +57,16 @@ def _reading(frame: DepthFrame, camera: Camera) -> str:
         return ""
     q, basis, ray = q[telling], basis[telling], ray[telling]
     least = _ROUNDING[4 if frame.raw.dtype.itemsize <= 4 else 8]
+    with np.errstate(over="ignore"):
+        halved = np.float16(1.0 / q[0]).astype(np.float64)
+    is_half = frame.step == 0.0 and bool((np.abs(halved * q[0] - 1.0) < least).all())
+    of_inverse = _OF_FLOAT16 if is_half else least
     as_depth = _residual(basis, q)
     for reading, values in (("distance", q * ray), ("inverse", 1.0 / q)):
         other = _residual(basis, values)
-        for_it = (as_depth.share > least) & (other.share * _CLEARLY < as_depth.share)
+        for_it = (as_depth.share > (of_inverse if reading == "inverse" else least)) & (
+            other.share * _CLEARLY < as_depth.share
+        )
         for_it &= (other.share < least) | (other.unlike > _UNLIKE)
         for_depth = (other.share > least) & (as_depth.share * _CLEARLY < other.share)
         if int(np.count_nonzero(for_it)) >= max(_FEWEST, _MANY_MORE * int(np.count_nonzero(for_depth))):

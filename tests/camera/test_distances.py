@@ -98,6 +98,9 @@ def test_inverse_depths_and_z_buffers_are_told(camera):
         assert len(told) == 1
     read = replace(camera, disparity=(-(1.0 / near - 1.0 / far), 1.0 / near))
     np.testing.assert_allclose(read.points(buffer)[..., 2], depth, rtol=1e-9)
+    corner = 1.0 / np.maximum(0.3 + 0.25 * camera.tan_x, 0.3 - 0.2 * camera.tan_x)
+    for frame in (corner, corner.astype(np.float32), corner.astype(np.float16), np.rint(1000.0 * corner) / 1000.0):
+        warn_of_distances(as_depth_frame(frame, camera), camera)
     warn_of_distances(as_depth_frame(buffer, read), read)  # nothing is said: warnings are errors here
 
 
