@@ -6,6 +6,7 @@ import math
 import os
 import sys
 from collections.abc import Callable, Collection
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from rgbd_planes.camera.camera import Camera
+    from rgbd_planes.camera.frame import Frame
     from rgbd_planes.fitting.tile_planes import TilePlanes
     from rgbd_planes.noise import NoiseModel
     from rgbd_planes.sequences import FrameSequence
@@ -142,10 +144,11 @@ def add_frame(parser: argparse.ArgumentParser) -> None:
         "--camera",
         type=Path,
         required=True,
-        metavar="JSON",
-        help="file of the camera, as Camera.save writes it: width, height, fx, fy, cx, cy in pixels, depth_scale in "
-        "units per metre",
+        metavar="FILE or NAME",
+        help="file of the camera, of Camera.save or another tool (OpenCV, ROS, Kalibr, ORB-SLAM, COLMAP ...), "
+        "or the name of a preset, such as kinect_v1",
     )
+    _add_unit_options(parser)
 
 
 def read_frame(arguments: argparse.Namespace) -> "tuple[NDArray[Any], Camera, int]":
@@ -153,13 +156,13 @@ def read_frame(arguments: argparse.Namespace) -> "tuple[NDArray[Any], Camera, in
     import numpy as np
 
     from rgbd_planes._core.files import naming
-    from rgbd_planes.camera.camera import Camera
     from rgbd_planes.camera.depth_frame import as_depth_frame
+    from rgbd_planes.camera.frame import Frame
     from rgbd_planes.camera.frame_warnings import warn_of_distances
     from rgbd_planes.sequences.images import read_depth
 
-    camera = Camera.load(arguments.camera)
-    depth = read_depth(arguments.depth)
+    camera = camera_of(arguments)
+    depth = after_units(arguments, Frame(read_depth(arguments.depth), camera, math.nan, arguments.depth.name))
     with naming(arguments.depth):
         frame = as_depth_frame(depth, camera)
     if frame.valid.any():
@@ -179,7 +182,24 @@ def read_frame(arguments: argparse.Namespace) -> "tuple[NDArray[Any], Camera, in
 
 def add_sequence_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that `read_sequence` takes."""
-    parser.add_argument("--camera", type=Path, metavar="JSON", help="camera to use instead of the sequence's own")
+    parser.add_argument(
+        "--camera",
+        type=Path,
+        metavar="FILE or NAME",
+        help="camera to use instead of the sequence's own: a file, or the name of a preset, such as kinect_v1",
+    )
+    _add_unit_options(parser)
+    parser.add_argument(
+        "--mask", type=Path, metavar="FOLDER", help="images by the frames' names or numbers: masks, or confidence"
+    )
+    parser.add_argument(
+        "--mask-threshold", type=float, default=1.0, metavar="N", help="what a pixel of --mask needs at least (1)"
+    )
+    parser.add_argument(
+        "--rectified",
+        action=argparse.BooleanOptionalAction,
+        help="of a ROS bag: take the P of its CameraInfo, or, with --no-rectified, K and D",
+    )
     parser.add_argument(
         "--format",
         metavar="NAME",
@@ -194,14 +214,67 @@ def add_sequence_options(parser: argparse.ArgumentParser) -> None:
 
 def read_sequence(arguments: argparse.Namespace, path: Path) -> "FrameSequence":
     """The frames of a data set or a recording."""
-    from rgbd_planes import Camera, open_sequence, sequences
+    from rgbd_planes import open_sequence, sequences
 
-    camera = None if arguments.camera is None else Camera.load(arguments.camera)
-    if arguments.topic is None:
-        return open_sequence(path, camera, arguments.format, allow_outside=arguments.allow_outside)
-    if arguments.format not in (None, "rosbag"):
-        raise CommandError(f"--topic is for ROS bags, got it with --format {shown(arguments.format)}")
-    return sequences.rosbag(path, camera, arguments.topic)
+    camera = None if arguments.camera is None else camera_of(arguments)
+    given = vars(arguments)  # of which callers may leave out what they have no use for
+    topic, rectified = arguments.topic, given.get("rectified")
+    if topic is None and rectified is None:
+        sequence = open_sequence(path, camera, arguments.format, allow_outside=arguments.allow_outside)
+    elif arguments.format not in (None, "rosbag"):
+        option = "--rectified" if topic is None else "--topic"
+        raise CommandError(f"{option} is for ROS bags, got it with --format {shown(arguments.format)}")
+    else:
+        sequence = sequences.rosbag(path, camera, topic, rectified)
+    if given.get("depth_scale") is not None and camera is None:
+        scale = {old: replace(old, depth_scale=arguments.depth_scale, disparity=None) for old in sequence.cameras}
+        sequence = sequence.with_cameras(scale)
+    if given.get("swap_bytes"):
+        sequence = sequence.with_swapped_bytes()
+    if given.get("float_scale") is not None:
+        sequence = sequence.with_float_scale(arguments.float_scale)
+    if given.get("mask") is not None:
+        sequence = sequence.masked(arguments.mask, arguments.mask_threshold)
+    return sequence
+
+
+def _add_unit_options(parser: argparse.ArgumentParser) -> None:
+    """Add what files leave open about their numbers."""
+    parser.add_argument(
+        "--depth-scale", type=float, metavar="N", help="units per metre of integers, instead of the camera's own"
+    )
+    parser.add_argument(
+        "--float-scale", type=float, metavar="N", help="units per metre of floats, 1000 for millimetres (1: metres)"
+    )
+    parser.add_argument("--swap-bytes", action="store_true", help="integers have their bytes in the other order")
+
+
+def camera_of(arguments: argparse.Namespace) -> "Camera":
+    """The camera of --camera: a preset by its name, or a file; with --depth-scale its unit."""
+    from rgbd_planes.camera import presets
+    from rgbd_planes.camera.camera import Camera
+
+    known = [name for name, make in vars(presets).items() if getattr(make, "__module__", "") == presets.__name__]
+    text = str(arguments.camera)
+    scale = vars(arguments).get("depth_scale")
+    if text in known and not arguments.camera.exists():
+        camera: Camera = getattr(presets, text)()
+    elif not arguments.camera.suffix and not arguments.camera.exists() and arguments.camera.name == text:
+        raise CommandError(f"--camera {shown(text)}: no such file, and no preset; presets are {', '.join(known)}")
+    else:
+        camera = Camera.load(arguments.camera)
+    return camera if scale is None else replace(camera, depth_scale=scale, disparity=None)
+
+
+def after_units(arguments: argparse.Namespace, frame: "Frame") -> "NDArray[Any]":
+    """A frame's depth with its bytes and its unit as the options say."""
+    from rgbd_planes.sequences.frame_steps import FloatUnit, swapped_bytes
+
+    if arguments.swap_bytes:
+        frame = swapped_bytes(frame)
+    if arguments.float_scale is not None:
+        frame = FloatUnit(arguments.float_scale)(frame)
+    return frame.depth
 
 
 FIGURES = (".png", ".pdf", ".svg")

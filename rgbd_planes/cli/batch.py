@@ -4,9 +4,24 @@ import argparse
 import sys
 from collections import Counter
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rgbd_planes._core.text import counted, percent, shown
-from rgbd_planes.cli.arguments import Run, add_fit_options, add_min_size, add_noise, add_sequence_options, read_sequence
+from rgbd_planes.cli.arguments import (
+    CommandError,
+    Run,
+    add_fit_options,
+    add_min_size,
+    add_noise,
+    add_sequence_options,
+    read_sequence,
+)
+
+if TYPE_CHECKING:
+    from rgbd_planes.sequences import FrameSequence
+
+_TRIED = 10  # frames, until one can be read
+_OTHER_UNITS = "of this frame is beyond", "of this frame is nearer", "of this frame is positive", "multiples of 256"
 
 
 def batch(parser: argparse.ArgumentParser) -> Run:
@@ -36,6 +51,9 @@ def batch(parser: argparse.ArgumentParser) -> Run:
     parser.add_argument(
         "--scheduler", metavar="ADDRESS", help="address of a Dask scheduler, to use its workers: tcp://host:port"
     )
+    parser.add_argument(
+        "--despite-warnings", action="store_true", help="go on although the first frame is most likely in other units"
+    )
     parser.add_argument("--retry", action="store_true", help="try the frames again that were skipped before")
 
     def run(arguments: argparse.Namespace) -> int:
@@ -49,6 +67,8 @@ def batch(parser: argparse.ArgumentParser) -> Run:
         sequence = read_sequence(arguments, arguments.sequence)
         if arguments.noise is not None:
             sequence = sequence.with_noise(arguments.noise)
+        if not arguments.despite_warnings:
+            _check_units(sequence)
         settings = FitSettings(
             segments=arguments.segments,
             tile=arguments.tile,
@@ -109,3 +129,25 @@ def batch(parser: argparse.ArgumentParser) -> Run:
         return 1 if report.problems else 0
 
     return run
+
+
+def _check_units(sequence: "FrameSequence") -> None:
+    """Refuse a sequence whose first frame that can be read is most likely in other units than its camera says."""
+    from rgbd_planes._core.user_warnings import collected_warnings
+    from rgbd_planes.camera.depth_frame import as_depth_frame
+
+    for index in range(min(len(sequence), _TRIED)):
+        said: list[str] = []
+        try:
+            frame = sequence[index]
+            with collected_warnings(said):
+                as_depth_frame(frame.depth, frame.camera)
+        except Exception:  # which the batch itself reports
+            continue
+        doubts = [text for text in said if any(words in text for words in _OTHER_UNITS)]
+        if doubts:
+            raise CommandError(
+                f"frame {index}, {sequence.names[index]}: {doubts[0]}; --float-scale and --depth-scale say the unit, "
+                "--despite-warnings goes on"
+            )
+        return

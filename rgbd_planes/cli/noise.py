@@ -12,6 +12,7 @@ from rgbd_planes.cli.arguments import (
     CommandError,
     Run,
     add_sequence_options,
+    camera_of,
     check_outputs,
     read_sequence,
     write_figure,
@@ -111,7 +112,6 @@ def _readable(sequence: "FrameSequence", chosen: list[int]) -> "list[Frame]":
 
 def _sequence(arguments: argparse.Namespace) -> "FrameSequence":
     """The depth images that are named, or the frames of the one data set or recording."""
-    from rgbd_planes import Camera
     from rgbd_planes.sequences.frames import image_sequence
     from rgbd_planes.sequences.images import DEPTH_SUFFIXES
 
@@ -128,4 +128,4 @@ def _sequence(arguments: argparse.Namespace) -> "FrameSequence":
             raise CommandError(f"--{option} is for a data set or a recording, got depth images")
     if arguments.camera is None:
         raise CommandError("depth images need --camera")
-    return image_sequence(paths, Camera.load(arguments.camera), Path())
+    return image_sequence(paths, camera_of(arguments), Path())

@@ -13,6 +13,7 @@ from rgbd_planes.cli.arguments import (
     Run,
     add_min_size,
     add_sequence_options,
+    camera_of,
     check_outputs,
     read_sequence,
 )
@@ -72,7 +73,6 @@ def view(parser: argparse.ArgumentParser) -> Run:
 
 def _sequence(arguments: argparse.Namespace) -> "FrameSequence":
     """The one depth image, or the frames of the data set or recording."""
-    from rgbd_planes import Camera
     from rgbd_planes.sequences.frames import image_sequence
     from rgbd_planes.sequences.images import DEPTH_SUFFIXES
 
@@ -84,7 +84,7 @@ def _sequence(arguments: argparse.Namespace) -> "FrameSequence":
             raise CommandError(f"--{option} is for a data set or a recording, got a depth image")
     if arguments.camera is None:
         raise CommandError("a depth image needs --camera")
-    return image_sequence([path], Camera.load(arguments.camera), Path())
+    return image_sequence([path], camera_of(arguments), Path())
 
 
 def _show(live: "LiveView", sequence: "FrameSequence", min_size: int) -> "list[Problem]":

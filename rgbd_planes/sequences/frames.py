@@ -3,7 +3,7 @@
 import os
 import re
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -126,7 +126,10 @@ class FrameSequence(Sequence[Frame]):
 
     def with_noise(self, noise: NoiseModel | None) -> "FrameSequence":
         """The same frames, whose cameras have a noise model (`rgbd_planes.noise`)."""
-        cameras = {camera: camera.with_noise(noise) for camera in self.cameras}
+        return self.with_cameras({camera: camera.with_noise(noise) for camera in self.cameras})
+
+    def with_cameras(self, cameras: Mapping[Camera, Camera]) -> "FrameSequence":
+        """The same frames, with another camera for each of the sequence's own."""
         made = copy(self)
         made.entries = tuple(replace(e, camera=cameras[e.camera]) for e in self.entries)
         return made

@@ -19,11 +19,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rgbd_planes._core.files import TooLargeError, damage, existing_file, identity, naming, readable
+from rgbd_planes._core.files import TooLargeError, check_pixels, damage, existing_file, identity, naming, readable
 from rgbd_planes._core.optional_imports import needs
 from rgbd_planes._core.text import shown
 from rgbd_planes.camera.calibrations.systems import depth_scale_of
 from rgbd_planes.camera.camera import Camera
+from rgbd_planes.sequences.contents import rvl
 from rgbd_planes.sequences.frames import FrameEntry, FrameSequence, kept_open
 from rgbd_planes.sequences.images import check_png_size
 from rgbd_planes.sequences.unpacking import check_chunk, unpacked
@@ -32,6 +33,7 @@ _BAG = "a ROS bag"
 _IMAGES = "sensor_msgs/msg/Image"
 _COMPRESSED = "sensor_msgs/msg/CompressedImage"
 _INFOS = "sensor_msgs/msg/CameraInfo"
+_DISPARITIES = "stereo_msgs/msg/DisparityImage"
 _GREY = "mono16"  # infrared images have it, too
 _ENCODINGS = {"16UC1": "u2", _GREY: "u2", "32FC1": "f4"}
 
@@ -43,7 +45,9 @@ _TRIED = 10  # messages of a topic, until one is whole
 _SAVED_BY = {".bag": "rosbag reindex", ".mcap": "mcap recover", ".db3": "sqlite3's .recover"}
 
 
-def rosbag(path: str | os.PathLike[str], camera: Camera | None = None, topic: str | None = None) -> FrameSequence:
+def rosbag(
+    path: str | os.PathLike[str], camera: Camera | None = None, topic: str | None = None, rectified: bool | None = None
+) -> FrameSequence:
     """Open the depth images of a ROS 1 bag, a ROS 2 bag or a RealSense recording.
 
     Parameters
@@ -54,8 +58,12 @@ def rosbag(path: str | os.PathLike[str], camera: Camera | None = None, topic: st
         the K and D of any other. ROS has 16-bit depth in millimetres (REP 118); if a RealSense recording states its
         unit, that is used.
     topic : str, optional
-        A topic of sensor_msgs/Image (16UC1, mono16, 32FC1) or of CompressedImage (compressedDepth, PNG). Needed if a
-        bag has more than one with depth, or one of mono16 without "depth" in its name.
+        A topic of sensor_msgs/Image (16UC1, mono16, 32FC1), of CompressedImage (PNG, compressedDepth as PNG or RVL) or
+        of stereo_msgs/DisparityImage. Needed if a bag has more than one with depth, or one of mono16 without "depth" in
+        its name.
+    rectified : bool, optional
+        Whether the camera is the CameraInfo's P, or its K and D, whatever the topic's name. A matrix that is 0, as some
+        drivers leave one of them, is passed over if this is not given.
 
     Returns
     -------
@@ -87,7 +95,7 @@ def rosbag(path: str | os.PathLike[str], camera: Camera | None = None, topic: st
             )
             raise ValueError(f"{shown(path)}: {asked}; {where}")
         bag.check_type(topic)
-        camera = camera or bag.camera(topic)
+        camera = camera or bag.camera(topic, rectified)
         entries = [
             FrameEntry(f"{i:06d}", seconds, camera, _Location(source, topic, recorded, nth))
             for i, (seconds, recorded, nth) in enumerate(bag.times(topic))
@@ -111,6 +119,7 @@ class _OpenBag:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self.unread: dict[str, str] = {}  # encodings of topics of images that are no depth, or in no known form
         if path.is_dir() and not (path / "metadata.yaml").is_file():
             raise ValueError(
                 f"{shown(path)}: expected a ROS bag, a file or a folder with metadata.yaml, found none; "
@@ -207,25 +216,29 @@ class _OpenBag:
         """Encodings of the topics whose first message may be a depth image."""
         found = {}
         for topic, about in sorted(self._reader.topics.items()):
-            message = self.first(topic) if about.msgtype in (_IMAGES, _COMPRESSED) else None
+            message = self.first(topic) if about.msgtype in (_IMAGES, _COMPRESSED, _DISPARITIES) else None
             if message is None:
                 continue
-            if about.msgtype == _IMAGES and message.encoding in _ENCODINGS:
-                found[topic] = message.encoding
-            elif about.msgtype == _COMPRESSED and "compressedDepth" in message.format:
-                found[topic] = message.format
+            encoding = _encoding_of(message, about.msgtype)
+            if about.msgtype == _DISPARITIES or (about.msgtype == _IMAGES and encoding in _ENCODINGS):
+                found[topic] = encoding
+            elif about.msgtype == _COMPRESSED and _is_read(encoding):
+                found[topic] = _GREY if encoding.startswith(_GREY) else encoding
+            else:
+                self.unread[topic] = encoding
         return found
 
     def contents(self) -> str:
         """The topics and their types, in words."""
         topics = sorted(self._reader.topics.items())
-        return ", ".join(f"{shown(name)} ({shown(about.msgtype)})" for name, about in topics) or "no topic at all"
+        said = {name: f", {self.unread[name]}, which is not read" if name in self.unread else "" for name, _ in topics}
+        return ", ".join(f"{shown(n)} ({shown(a.msgtype)}{shown(said[n])})" for n, a in topics) or "no topic at all"
 
-    def camera(self, topic: str) -> Camera:
+    def camera(self, topic: str, rectified: bool | None = None) -> Camera:
         """The camera of the CameraInfo that is nearest to a topic in the tree of names."""
         infos = {name for name, about in self._reader.topics.items() if about.msgtype == _INFOS}
         parents = [topic.rsplit("/", i)[0] for i in range(1, topic.count("/") + 1)]
-        nearest = [f"{p}{info}" for p in parents for info in ("/camera_info", "/info/camera_info")]
+        nearest = [f"{p}{info}" for p in parents for info in ("/camera_info", "/info/camera_info", "/left/camera_info")]
         name = next((name for name in nearest if name in infos), "")
         self.check_type(name)
         info = self.first(name)
@@ -234,9 +247,22 @@ class _OpenBag:
                 f"{shown(self.path)}: expected a CameraInfo beside {shown(topic)}, or a camera; "
                 f"there is {', '.join(map(shown, sorted(infos))) or 'none'}"
             )
-        rectified = re.search(r"(^|[_/])rect", topic) is not None
+        kind = self._reader.topics[topic].msgtype
+        which = rectified
+        if which is None and (kind == _DISPARITIES or re.search(r"(^|[_/])rect", topic) is not None):
+            which = bool(np.any(getattr(info, "p", getattr(info, "P", 0)))) or None  # None: whichever is there
         with naming(self.path):
-            return Camera.from_ros(info, rectified=rectified, depth_scale=self._depth_scale(topic))
+            if kind == _DISPARITIES:
+                return Camera.from_ros(info, rectified=which, disparity=self._disparity(topic))
+            return Camera.from_ros(info, rectified=which, depth_scale=self._depth_scale(topic))
+
+    def _disparity(self, topic: str) -> tuple[float, float]:
+        """Scale and offset of the disparities of a topic of stereo_msgs/DisparityImage: Z = f T / d."""
+        message = self.first(topic)
+        focal, baseline = float(message.f), abs(float(getattr(message, "t", getattr(message, "T", 0.0))))
+        if not focal * baseline > 0.0:
+            raise ValueError(f"expected f and T of the disparity images of {topic}, got {focal:g} and {baseline:g}")
+        return 1.0 / (focal * baseline), 0.0
 
     def _depth_scale(self, topic: str) -> float:
         sensor = re.match(r"(/device_\d+/sensor_\d+)/", topic)
@@ -300,10 +326,34 @@ def _read_message(location: _Location) -> NDArray[Any]:
         if nth == location.nth:
             message = bag.message(content, kind)
             try:
+                if kind == _DISPARITIES:
+                    return _decode_disparities(message)
                 return _decode_compressed(message) if kind == _COMPRESSED else _decode(message)
             except ValueError as error:
                 raise ValueError(f"{shown(location.path)}: {shown(location.topic)}: {error}") from None
     raise ValueError(f"{shown(location.path)}: the message of {location.recorded * 1e-9:.6f} s is gone")
+
+
+def _encoding_of(message: Any, kind: str) -> str:
+    """The encoding of an image, or the format of a compressed one."""
+    if kind == _DISPARITIES:
+        return str(message.image.encoding)
+    return str(message.encoding if kind == _IMAGES else message.format)
+
+
+def _is_read(format: str) -> bool:
+    """Whether a format of sensor_msgs/CompressedImage is that of depth which is read."""
+    encoding = format.split(";")[0].strip()
+    if "compressedDepth" in format:
+        return encoding in ("16UC1", "32FC1")
+    return encoding in ("16UC1", _GREY) and "png" in format.lower()
+
+
+def _decode_disparities(message: Any) -> NDArray[Any]:
+    """The disparities of a stereo_msgs/DisparityImage; NaN below the smallest that was searched."""
+    disparities = _decode(message.image).astype(np.float32)
+    least = max(float(message.min_disparity), 0.0)
+    return np.where(disparities > least, disparities, np.float32(np.nan))
 
 
 def _decode(image: Any) -> NDArray[Any]:
@@ -319,29 +369,38 @@ def _decode(image: Any) -> NDArray[Any]:
 
 
 def _decode_compressed(image: Any) -> NDArray[Any]:
-    """The depth in a sensor_msgs/CompressedImage of compressed_depth_image_transport.
+    """The depth in a sensor_msgs/CompressedImage: a PNG, or as compressed_depth_image_transport writes it.
 
-    Before the PNG there are twelve bytes: a number and the A and B with which floats were quantised, as
+    Before the latter's PNG or RVL there are twelve bytes: a number and the A and B with which floats were quantised, as
     A / Z + B.
     """
     from PIL import Image
 
     encoding = image.format.split(";")[0].strip()
-    if encoding not in ("16UC1", "32FC1") or "rvl" in image.format.lower():
-        raise ValueError(f"expected depth compressed as PNG, 16UC1 or 32FC1, got {image.format!r}")
+    if not _is_read(image.format):
+        raise ValueError(f"expected depth compressed as PNG or RVL, 16UC1 or 32FC1, got {image.format!r}")
     content = bytes(image.data)
+    plain = "compressedDepth" not in image.format
     try:
-        _, a, b = struct.unpack_from("<iff", content)
-        with Image.open(io.BytesIO(content[12:]), formats=["PNG"]) as png:
-            check_png_size(png, len(content))
-            pixels = np.array(png)
+        _, a, b = (0, 0.0, 0.0) if plain else struct.unpack_from("<iff", content)
+        content = content if plain else content[12:]
+        if "rvl" in image.format.lower():
+            width, height = struct.unpack_from("<II", content)
+            check_pixels(width, height)
+            pixels = rvl.decode(content[8:], width * height).reshape(height, width)
+        else:
+            with Image.open(io.BytesIO(content), formats=["PNG"]) as png:
+                check_png_size(png, len(content))
+                pixels = np.array(png)
     except TooLargeError:
         raise
     except Exception as error:  # from the bytes before it, or one of Pillow's many
         raise damage("damaged compressed image", error) from None
     if pixels.ndim != 2:
         raise ValueError(f"expected a depth image of one channel, got shape {pixels.shape}")
-    if encoding == "16UC1":
+    if plain and pixels.dtype == np.uint8:
+        raise ValueError("expected depth of 16 bits, got 8 bits, as of a picture")
+    if encoding != "32FC1":
         return pixels.astype(np.uint16)
     with np.errstate(all="ignore"):
         return np.where(pixels == 0, math.nan, a / (pixels.astype(np.float32) - b)).astype(np.float32)
