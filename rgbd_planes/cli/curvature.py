@@ -20,7 +20,7 @@ from rgbd_planes.cli.arguments import (
 def curvature(parser: argparse.ArgumentParser) -> Run:
     """Fit a surface of second order to every tile of a depth image: normals and curvatures.
 
-    example: rgbd-planes curvature depth.png --camera camera.json --noise kinect_v1 --figure curvature.png
+    example: rgbd-planes curvature depth.png --camera camera.json --figure bent.png
     """
     add_frame(parser)
     parser.add_argument(
@@ -38,7 +38,7 @@ def curvature(parser: argparse.ArgumentParser) -> Run:
         "--significance",
         type=float,
         metavar="LEVEL",
-        help="with a noise model: share of good tiles called ROUGH (0.01)",
+        help="call tiles ROUGH whose residual the noise explains less often than this (0.01); 0 for none",
     )
     add_noise(parser, "says which tiles are curved, and how exactly that is known")
     parser.add_argument("--threads", type=int, metavar="N", help="number of threads (as many as pay)")
