@@ -82,11 +82,38 @@ def plain_array(name: str, values: Any) -> NDArray[Any]:
     """Return anything but a masked array as an array: masked entries would otherwise be used as data."""
     if _is_masked(values):
         raise TypeError(f"expected a plain array, got a masked array: fill it first, {name}.filled(0)")
+    if hasattr(values, "__dlpack__") and not isinstance(values, np.ndarray):
+        return _from_elsewhere(name, values)
     try:
         return np.asarray(values)
     except ValueError:  # lists of different lengths, say
         kind = type(values).__name__
         raise ValueError(f"expected {name} as an array, got a {kind} of which NumPy makes none") from None
+
+
+def _from_elsewhere(name: str, values: Any) -> NDArray[Any]:
+    """An array of another library, in the same memory if it is the CPU's.
+
+    Raises
+    ------
+    TypeError
+        It is elsewhere, or its library does not give it, with the way on.
+    """
+    kind = f"{type(values).__module__}.{type(values).__name__}"
+    device = values.__dlpack_device__()[0] if hasattr(values, "__dlpack_device__") else _ON_CPU
+    if device != _ON_CPU:
+        raise TypeError(
+            f"expected {name} in the CPU's memory, got a {kind} on another device: copy it first, by .cpu() of torch, "
+            ".get() of CuPy or numpy.asarray of JAX"
+        )
+    try:
+        return np.asarray(values) if hasattr(values, "__array__") else np.from_dlpack(values)
+    except (BufferError, RuntimeError, TypeError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise TypeError(f"expected {name} as an array, got a {kind} that gives none: {reason}") from None
+
+
+_ON_CPU = 1  # as DLPack counts devices
 
 
 def label_array(name: str, labels: Any) -> NDArray[Any]:

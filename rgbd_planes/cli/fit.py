@@ -31,9 +31,10 @@ def fit(parser: argparse.ArgumentParser) -> Run:
 
     def run(arguments: argparse.Namespace) -> int:
         from rgbd_planes import fit_tiles
+        from rgbd_planes.export.exchange import write_csv
         from rgbd_planes.export.tiles import write_json
 
-        check_outputs(arguments, (arguments.depth, arguments.camera), out=(".npz", ".json"), figure=FIGURES)
+        check_outputs(arguments, (arguments.depth, arguments.camera), out=(".npz", ".json", ".csv"), figure=FIGURES)
         depth, camera, status = read_frame(arguments)
         if arguments.noise is not None:
             camera = camera.with_noise(arguments.noise)
@@ -53,6 +54,8 @@ def fit(parser: argparse.ArgumentParser) -> Run:
         if arguments.out is not None:
             if arguments.out.suffix.lower() == ".json":
                 write_json(arguments.out, tiles)
+            elif arguments.out.suffix.lower() == ".csv":
+                write_csv(arguments.out, tiles.to_table())
             else:
                 tiles.save(arguments.out)
             print(f"Wrote {shown(arguments.out)}")

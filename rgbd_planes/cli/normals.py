@@ -1,7 +1,6 @@
 """``rgbd-planes normals``."""
 
 import argparse
-import io
 from pathlib import Path
 
 from rgbd_planes._core.text import percent, shown
@@ -30,16 +29,20 @@ def normals(parser: argparse.ArgumentParser) -> Run:
         help="largest share of a window's pixels that may be missing (0.5)",
     )
     parser.add_argument("--threads", type=int, metavar="N", help="number of threads (as many as pay)")
-    parser.add_argument("--out", type=Path, metavar="NPY", help="write the normals, (H, W, 3) float32")
+    parser.add_argument(
+        "--out", type=Path, metavar="NPY/PNG/TIF", help="write the normals: (H, W, 3) float32, or as colours"
+    )
     parser.add_argument("--figure", type=Path, metavar="PNG/PDF/SVG", help="draw depth, normals and curvature")
 
     def run(arguments: argparse.Namespace) -> int:
         import numpy as np
 
         import rgbd_planes as rp
-        from rgbd_planes._core.files import write_beside
+        from rgbd_planes.export.exchange import write_normals
 
-        check_outputs(arguments, (arguments.depth, arguments.camera), out=(".npy",), figure=FIGURES)
+        check_outputs(
+            arguments, (arguments.depth, arguments.camera), out=(".npy", ".png", ".tif", ".tiff"), figure=FIGURES
+        )
         depth, camera, status = read_frame(arguments)
         options = {
             "avoid_edges": arguments.avoid_edges,
@@ -54,10 +57,7 @@ def normals(parser: argparse.ArgumentParser) -> Run:
             f"normals at {percent(share)} of the pixels."
         )
         if arguments.out is not None:
-            content = io.BytesIO()  # writing to a file, NumPy would not say why it cannot
-            np.save(content, found)
-            with write_beside(arguments.out) as beside:
-                beside.write_bytes(content.getbuffer())
+            write_normals(arguments.out, found)
             print(f"Wrote {shown(arguments.out)}")
         if arguments.figure is not None:
             from rgbd_planes.plotting.normals import plot_normals

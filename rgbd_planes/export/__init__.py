@@ -1,5 +1,9 @@
 """Tiles, segments and points for other tools: JSON, PLY, Open3D, ROS messages, rerun. Uses all that makes results."""
 
+from rgbd_planes.export.exchange import json_ready as json_ready
+from rgbd_planes.export.exchange import write_csv as write_csv
+from rgbd_planes.export.exchange import write_normals as write_normals
+from rgbd_planes.export.exchange import write_pcd as write_pcd
 from rgbd_planes.export.ply import write_ply as write_ply
 from rgbd_planes.export.points import points_to_open3d as points_to_open3d
 from rgbd_planes.export.points import to_ros_points as to_ros_points
