@@ -370,7 +370,8 @@ def test_frames_that_cannot_be_recorded_are_skipped_and_named(depth, tmp_path):
     with pytest.warns(UserWarning, match="skipped") as warned:
         recording.record(FrameSequence(entries, images.read_depth), tmp_path / "planes.rrd", (12, 16))
     assert {warning.filename for warning in warned} == {__file__}
-    messages = [str(warning.message).replace("(height, width) = ", "") for warning in warned]
+    # Without the hint that a frame of another size may be a part of one.
+    messages = [str(warning.message).replace("(height, width) = ", "").split(": was it")[0] for warning in warned]
     assert messages == [
         "skipped 2 frames, 1, 4: expected a depth frame of shape (60, 80), as the camera's, got (30, 80)",
         "skipped frame 2, 2.png: not a PNG image, or damaged",
