@@ -50,8 +50,12 @@ NARROW = 128
 
 
 @kernel(inline=True)
-def write_curvatures(q, a, b, r, s, t, u, v, place, curvatures):
-    """Write κ₁ and κ₂ from q and its derivatives at the ray (u, v); NaN where it does not meet the surface."""
+def write_curvatures(derivatives, u, v, place, curvatures):
+    """Write κ₁ and κ₂ from q and its derivatives at the ray (u, v); NaN where it does not meet the surface.
+
+    ``derivatives`` are q, the two of first order, and those along u twice, along u and v, and along v twice.
+    """
+    q, a, b, r, s, t = derivatives
     d = tangent_distance(q, a, b, u, v)
     k_1, k_2 = principal_pair(mean_curvature(q, a, b, r, s, t, u, v, d), gaussian_curvature(q, r, s, t, d))
     nothing = 0.0 if q > 0.0 else math.nan
@@ -104,8 +108,9 @@ def moved(pixels, depths, i, x, y, moments, column):
 
 
 @kernel(inline=True)
-def write_gathered(room, number, columns, fx, fy, tan_x, tan_y, first, curvatures):
+def write_gathered(room, number, columns, focal, tan_x, tan_y, first, curvatures):
     """Solve the windows that were gathered, and write their curvatures."""
+    fx, fy = focal
     moments, reference, work = room[:SURFACE_SUMS], room[SURFACE_SUMS], room[SURFACE_SUMS + 1 :]
     for k in range(number):
         reference[k] = 0.0
@@ -114,8 +119,10 @@ def write_gathered(room, number, columns, fx, fy, tan_x, tan_y, first, curvature
         i = columns[k]
         nothing = 0.0 * work[RESIDUAL, k]  # NaN where the window's pixels lie on a conic
         write_curvatures(
-            work[0, k] + nothing, fx * work[1, k], fy * work[2, k],
-            2.0 * fx * fx * work[3, k], fx * fy * work[4, k], 2.0 * fy * fy * work[5, k],
+            (
+                work[0, k] + nothing, fx * work[1, k], fy * work[2, k],
+                2.0 * fx * fx * work[3, k], fx * fy * work[4, k], 2.0 * fy * fy * work[5, k],
+            ),
             tan_x[i], tan_y[i], first + i, curvatures,
         )  # fmt: skip
 
@@ -223,8 +230,11 @@ def whole_windows(depths, missing, valid, count, x_0, y_0, fx, fy, terms, tan_x,
         q = s_q * per_pixel - spread * (bend_x + bend_y)
         there = (valid[i] > np.float32(0.0)) & (missing[i] == 0.0)
         write_curvatures(
-            q if there else math.nan, fx * per_xx * (s_x - x * s_q), fy * per_xx * (s_y - y_0 * s_q),
-            2.0 * fx * fx * bend_x, fx * fy * per_xxyy * xy, 2.0 * fy * fy * bend_y, tan_x[i], v, i, curvatures,
+            (
+                q if there else math.nan, fx * per_xx * (s_x - x * s_q), fy * per_xx * (s_y - y_0 * s_q),
+                2.0 * fx * fx * bend_x, fx * fy * per_xxyy * xy, 2.0 * fy * fy * bend_y,
+            ),
+            tan_x[i], v, i, curvatures,
         )  # fmt: skip
 
 
@@ -330,16 +340,18 @@ def separable_curvatures(
                     number += 1
                     if number == TILES:
                         tan_y_row[:] = v
-                        write_gathered(room, number, gathered, fx, fy, tan_x[left:], tan_y_row, first, curvatures)
+                        write_gathered(room, number, gathered, (fx, fy), tan_x[left:], tan_y_row, first, curvatures)
                         number = 0
             if number > 0:
                 tan_y_row[:] = v
-                write_gathered(room, number, gathered, fx, fy, tan_x[left:], tan_y_row, first, curvatures)
+                write_gathered(room, number, gathered, (fx, fy), tan_x[left:], tan_y_row, first, curvatures)
 
 
 @kernel(reduction=True, arrays=False)
-def ray_powers(q, valid, tan_x, tan_y, x_reference, y_reference, fx, fy, channels):
-    """The channels of a row of pixels whose rays are given, in units of about a pixel."""
+def ray_powers(q, valid, tan_x, tan_y, reference, focal, channels):
+    """The channels of a row of pixels whose rays are given, relative to a ray, in units of about a pixel."""
+    x_reference, y_reference = reference
+    fx, fy = focal
     for i in range(tan_x.shape[0]):
         there = np.float64(valid[i])
         x, y = there * fx * (tan_x[i] - x_reference), there * fy * (tan_y[i] - y_reference)
@@ -407,7 +419,7 @@ def distorted_curvatures(
                 nearest = min(max(row, 0), height - 1)  # beyond the frame nothing is valid, and any rays will do
                 ray_powers(
                     q[margin:], valid[slot, margin:], tan_x[nearest, first_column:last_column],
-                    tan_y[nearest, first_column:last_column], x_reference, y_reference, fx, fy,
+                    tan_y[nearest, first_column:last_column], (x_reference, y_reference), (fx, fy),
                     row_channels[margin:],
                 )  # fmt: skip
                 sliding_window.sums_along_row(between, row_channels, (total - 1) * PITCH + count, work, rows[slot])
@@ -429,5 +441,5 @@ def distorted_curvatures(
                     gathered[number] = i
                     number += 1
             write_gathered(
-                room, number, gathered, fx, fy, tan_x[centre, left:], tan_y[centre, left:], first, curvatures
+                room, number, gathered, (fx, fy), tan_x[centre, left:], tan_y[centre, left:], first, curvatures
             )

@@ -97,13 +97,26 @@ def fit_surface_tiles(
 
 
 @kernel()
-def fit_surface_moments(
-    moments, reference, centre, needed, max_error, start, stop, coefficients, rmse, rmse_metric, valid_count, status
-):
-    """Quadratics from moments: entries ``start`` to ``stop`` of (SURFACE_SUMS, T). Results as in `write_surfaces`.
+def fit_surface_moments(sums, centre, needed, max_error, part, results):
+    """Quadratics from moments.
 
-    ``centre`` (2, T) are the central rays, ``reference`` (T,) the inverse depths that the sums of q are relative to.
+    Parameters
+    ----------
+    sums : moments and reference, (SURFACE_SUMS, T) and (T,) float64
+        The sums, and the inverse depths that the sums of q are relative to.
+    centre : (2, T) float64
+        The central rays.
+    needed : (T,) float64
+        Number of valid pixels that a part needs.
+    max_error : float
+        Parts with a larger ``rmse_metric`` get ROUGH.
+    part : (start, stop)
+        The parts to fit.
+    results : coefficients, rmse, rmse_metric, valid_count, status; (6 * T,), (T,)..., written
     """
+    moments, reference = sums
+    start, stop = part
+    coefficients, rmse, rmse_metric, valid_count, status = results
     block = np.empty((SURFACE_SUMS + 3 + QUADRATIC_WORK, TILES))
     block_moments = block[:SURFACE_SUMS]
     block_centre, block_reference = block[SURFACE_SUMS : SURFACE_SUMS + 2], block[SURFACE_SUMS + 2]

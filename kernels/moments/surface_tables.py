@@ -219,13 +219,14 @@ def surface_window_pixels(frame, rays, windows, centre, reference, start, stop, 
 
 
 @kernel()
-def surface_window_tables(tables, before, columns, rays, windows, centre, start, stop, moments):
+def surface_window_tables(tables, missing, rays, windows, centre, start, stop, moments):
     """Moments of windows from the tables of `range_surface_tables`; the rest as in `surface_window_pixels`.
 
     The camera's sums are taken over rows and columns of rays where these separate, or else over the window's rays:
-    fourth powers of a distance from the image's centre would leave no digits for a small window. ``before`` and
-    ``columns`` are those of `missing_places`, empty for a frame without holes.
+    fourth powers of a distance from the image's centre would leave no digits for a small window. ``missing`` are what
+    `missing_places` writes, before and columns, empty for a frame without holes.
     """
+    before, columns = missing
     tan_x, tan_y = rays
     is_separable = tan_x.strides[0] == 0 and tan_y.strides[1] == 0
     by_u, by_v = np.empty(5), np.empty(5)

@@ -174,13 +174,14 @@ def fit_surface_windows(
         def fit_some(start: int, stop: int) -> None:
             if implementation == "integral":
                 surface_tables.surface_window_tables(
-                    tables, before, columns, rays, rectangles, centre, start, stop, arrays["_moments"]
+                    tables, (before, columns), rays, rectangles, centre, start, stop, arrays["_moments"]
                 )
             else:
                 surface_tables.surface_window_pixels(
                     values, rays, rectangles, centre, reference, start, stop, arrays["_moments"]
                 )
-            fit_surface_moments(arrays["_moments"], arrays["_reference"], centre, needed, error, start, stop, *results)
+            sums = arrays["_moments"], arrays["_reference"]
+            fit_surface_moments(sums, centre, needed, error, (start, stop), tuple(results))
             if assess is not None and assess.level > 0.0:
                 assess.mark(flat_frame(arrays, 1, 0), start, stop)
 
@@ -252,10 +253,10 @@ def merge_surfaces(fits: SurfaceFits, labels: npt.NDArray[np.int32], significanc
     surface_tables.merge_surfaces(
         moments, part_centre, reference, flat, centre, arrays["_reference"], arrays["_moments"]
     )
+    results = tuple(arrays[name].reshape(-1) for name in SURFACE_RESULTS)
     fit_surface_moments(
-        arrays["_moments"], arrays["_reference"], centre, np.full(count, 6.0), np.inf, 0, count,
-        *(arrays[name].reshape(-1) for name in SURFACE_RESULTS),
-    )  # fmt: skip
+        (arrays["_moments"], arrays["_reference"]), centre, np.full(count, 6.0), np.inf, (0, count), results
+    )
     sums = np.stack([np.bincount(flat, column, count + 1)[1:] for column in fits._footprint.T], axis=1).astype(np.int64)
     if fits.camera.noise is not None and count:
         assessment = assessment_of_unions(fits.camera, significance, centre, sums)
