@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rgbd_planes._core.status import TileStatus
 from rgbd_planes.batch import seal
+from rgbd_planes.fitting.surfaces.tile_surfaces import TileSurfaces
 from rgbd_planes.fitting.tile_planes import TilePlanes
 from rgbd_planes.kernels.fits import table_columns as row_kernels
 from rgbd_planes.kernels.statistics.tiles.block import P_VALUE, PLANE_COVARIANCE
@@ -22,6 +23,8 @@ WRITTEN_AT_ONCE = 1 << 20  # bytes: a few large pieces are written faster than m
 COVARIANCES = {f"cov_{PLANE[i]}_{PLANE[j]}": (i, j) for i in range(4) for j in range(i, 4)}
 # A tile's statistics that a table has, in the order of its columns.
 _STATISTICS = np.array([P_VALUE, *(PLANE_COVARIANCE + 4 * i + j for i, j in COVARIANCES.values())])
+CURVATURES = ("kappa_1", "kappa_2", "mean_curvature", "gaussian_curvature")
+CURVATURE_STATISTICS = ("p_flat", "mean_curvature_std", "gaussian_curvature_std")
 _UPPER = tuple(np.array(list(COVARIANCES.values())).T)  # where the covariances are in (4, 4)
 _NO_STATISTICS = np.empty((0, 0, 0)), np.empty(0, np.int64)
 
@@ -45,11 +48,14 @@ class Columns(NamedTuple):
         The sensor's noise is known.
     timed : bool
         The time of every frame is known.
+    curvature : bool
+        The rows of tiles have curvatures, too.
     """
 
     segments: bool
     noise: bool
     timed: bool
+    curvature: bool = False
 
 
 @lru_cache(maxsize=2)  # full parts and the last one: places are the same in every part
@@ -65,11 +71,12 @@ class Rows:
     """Rows of some frames, column by column."""
 
     def __init__(self, columns: Columns) -> None:
-        segments, noise, self._timed = columns
+        segments, noise, self._timed, curvature = columns
         uncertain = list(COVARIANCES) if segments else ["p_value", *COVARIANCES] if noise else []
         which = ["label"] if segments else ["row", "column"]
         self._place_names = [*which, "top", "left", "height", "width"]
-        self._float_names = [*PLANE, "rmse", "rmse_metric", *uncertain]
+        self._curvatures = ([*CURVATURES, *(CURVATURE_STATISTICS if noise else ())]) if curvature else []
+        self._float_names = [*PLANE, "rmse", "rmse_metric", *uncertain, *self._curvatures]
         self._noise = noise
         self._frames: list[tuple[int, int, Grid | NDArray[np.int32]]] = []  # number, rows, their places
         self._count = 0
@@ -91,13 +98,18 @@ class Rows:
                 setattr(self, name, new := np.empty((*old.shape[:-1], capacity), old.dtype))
                 new[..., : old.shape[-1]] = old
 
-    def add_tiles(self, frame: int, grid: Grid, tiles: TilePlanes) -> None:
+    def add_tiles(self, frame: int, grid: Grid, tiles: TilePlanes, surfaces: TileSurfaces | None = None) -> None:
         """Add a row for each tile of a frame, which is counted from the first of the part."""
         statistics, which = (tiles._statistics.rows, _STATISTICS) if self._noise else _NO_STATISTICS
         start = self._begin(frame, tiles.status.size, grid)
         results = tiles.planes, tiles.rmse, tiles.rmse_metric, tiles.valid_count, tiles.status
         columns = self._floats, self._valid_count, self._status
         row_kernels.add_tiles(results, statistics, which, start, columns)
+        if surfaces is not None:
+            by_name = dict(zip(("kappa_1", "kappa_2"), surfaces.principal_curvatures.reshape(-1, 2).T, strict=True))
+            for row, name in enumerate(self._curvatures, start=len(self._float_names) - len(self._curvatures)):
+                values = by_name[name] if name in by_name else getattr(surfaces, name).ravel()
+                self._floats[row, start : self._count] = values
 
     def add_segments(self, frame: int, places: NDArray[np.int32], segments: Segmentation) -> None:
         """Add a row for each segment of a frame.

@@ -23,6 +23,8 @@ from rgbd_planes.camera.depth_frame import as_depth_frame
 from rgbd_planes.camera.frame import Frame
 from rgbd_planes.camera.frame_warnings import warn_of_distances, warn_of_noise
 from rgbd_planes.fitting.methods import METHODS
+from rgbd_planes.fitting.surfaces.tile_surfaces import TileSurfaces
+from rgbd_planes.fitting.surfaces.tiles import SurfaceFitter
 from rgbd_planes.fitting.tile_grid import check_tile, grid_shape, tile_sides
 from rgbd_planes.fitting.tile_planes import TilePlanes
 from rgbd_planes.fitting.tiles import TileFitter
@@ -44,6 +46,8 @@ class FitSettings:
         For tiles, as `rgbd_planes.fit_tiles` takes them.
     min_size : int
         For segments, as `rgbd_planes.segment` takes it.
+    curvature : bool
+        For tiles: also the curvatures of `rgbd_planes.fit_surfaces`, for the same tiles.
 
     Raises
     ------
@@ -58,6 +62,7 @@ class FitSettings:
     max_error: float | None = None
     significance: float | None = None
     min_size: int = MIN_SIZE
+    curvature: bool = False
 
     def __post_init__(self) -> None:
         # As Python's own types, whatever fit_tiles takes: they are keys of a cache, and are written to a file.
@@ -66,6 +71,7 @@ class FitSettings:
             "segments": check_bool("segments", self.segments),
             "tile": sides if np.ndim(self.tile) else sides[0],
             "min_size": check_min_size(self.min_size),
+            "curvature": check_bool("curvature", self.curvature),
             "max_missing": check_share("max_missing", self.max_missing),
             "max_error": None if self.max_error is None else check_max_error(self.max_error),
             "significance": check_level(self.significance),
@@ -94,6 +100,8 @@ class FitSettings:
         check_camera(camera)
         if not self.segments:
             _fitter.__wrapped__(camera, self)  # what is no camera may not be hashable
+            if self.curvature:
+                _surface_fitter.__wrapped__(camera, self)
 
     def rows_of_frame(self, camera: Camera) -> int:
         """Number of tiles of a frame; 1 for segments, of which there are few."""
@@ -239,6 +247,15 @@ def _fitter(camera: Camera, settings: FitSettings) -> TileFitter:
     )
 
 
+@lru_cache(maxsize=4)
+def _surface_fitter(camera: Camera, settings: FitSettings) -> SurfaceFitter:
+    # No test of the residual: the status of a row is its plane's.
+    significance = None if camera.noise is None else 0.0
+    return SurfaceFitter(
+        camera, settings.tile, max_missing=settings.max_missing, significance=significance, num_threads=1
+    )
+
+
 class _TileAdder:
     """Adds the tiles of frames, fitting each frame into the arrays of the one before."""
 
@@ -251,9 +268,13 @@ class _TileAdder:
             fitter = _fitter(frame.camera, self._settings)  # an error leaves all as it was
             self._grid = Grid(grid_shape(frame.camera, fitter.tile), frame.camera.shape, fitter.tile)
             self._tiles: TilePlanes | None = None
+            self._surfaces: TileSurfaces | None = None
+            self._surface_fitter = _surface_fitter(frame.camera, self._settings) if self._settings.curvature else None
             self._fitter, self._camera = fitter, frame.camera
         self._tiles = tiles = self._fitter.fit(frame.depth, self._tiles)
-        rows.add_tiles(index, self._grid, tiles)
+        if self._surface_fitter is not None:
+            self._surfaces = self._surface_fitter.fit(frame.depth, self._surfaces)
+        rows.add_tiles(index, self._grid, tiles, self._surfaces)
 
 
 def _add_segments(min_size: int, frame: Frame, index: int, rows: Rows) -> None:

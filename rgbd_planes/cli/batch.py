@@ -43,6 +43,7 @@ def batch(parser: argparse.ArgumentParser) -> Run:
         help="one row for each plane of the scene, not for each tile; takes no options of tiles, but --min-size",
     )
     add_min_size(parser)
+    parser.add_argument("--curvature", action="store_true", help="add how each tile is curved to the table")
     add_fit_options(parser)
     add_noise(parser, "adds covariances and p-values to the table, and calls tiles ROUGH that it does not explain")
     parser.add_argument(
@@ -77,6 +78,7 @@ def batch(parser: argparse.ArgumentParser) -> Run:
             max_error=arguments.max_error,
             significance=arguments.significance,
             min_size=arguments.min_size,
+            curvature=arguments.curvature,
         )
         bar = tqdm(total=len(sequence), unit="frame", disable=None)  # None: only on a terminal
         skipped: Counter[str] = Counter()  # by reason: each is printed once, and that of several frames at the end

@@ -1168,3 +1168,23 @@ def test_what_the_machine_lacks_is_no_fault_of_a_frame(recording, tmp_path, erro
     with pytest.raises(type(error), match=r"depth/\d+\.png" if isinstance(error, OSError) else None):
         rp.fit_sequence(sequence, tmp_path / "out")
     assert not list((tmp_path / "out").glob("part-*"))
+
+
+@pytest.mark.parametrize("noise", [None, rp.noise.kinect_v1()])
+def test_curvatures_are_in_the_table_if_asked_for(recording, tmp_path, noise):
+    sequence = rp.open_sequence(recording)
+    if noise is not None:
+        sequence = sequence.with_noise(noise)
+    rp.fit_sequence(sequence, tmp_path / "bent", rp.FitSettings(tile=8, curvature=True), num_threads=2)
+    columns = rows_of(tmp_path / "bent")
+    found = rp.fit_surfaces(sequence[1].depth, sequence.camera, 8)
+    rows = columns["frame"] == 1
+    for name in ("mean_curvature", "gaussian_curvature", *(("p_flat", "mean_curvature_std") if noise else ())):
+        np.testing.assert_array_equal(columns[name][rows], getattr(found, name).ravel().astype(np.float32))
+    kappas = np.stack([columns[name][rows] for name in ("kappa_1", "kappa_2")], axis=1)
+    np.testing.assert_array_equal(kappas, found.principal_curvatures.reshape(-1, 2).astype(np.float32))
+    assert ("p_flat" in columns) == (noise is not None)
+    with pytest.raises(ValueError, match="take no options of tiles"):
+        rp.fit_sequence(sequence, tmp_path / "planes", rp.FitSettings(segments=True, curvature=True))
+    with pytest.raises(ValueError, match="at least 3 x 3"):
+        rp.fit_sequence(sequence, tmp_path / "planes", rp.FitSettings(tile=2, curvature=True))
