@@ -37,6 +37,22 @@ def pytest_configure(config):
         compiled_once.share(config.workerinput["testrunuid"])
 
 
+# What ``pytest -m quick`` runs: something of each folder, without simulations and without the largest kernels.
+QUICK = (
+    "camera/test_camera", "camera/test_depth", "cli/test_progress", "core/test_checks", "core/test_package",
+    "docs/test_layout", "docs/test_packaging", "evaluation/test_metrics", "fitting/test_labels", "fitting/test_windows",
+    "kernels/test_solves", "noise/test_noise_models", "segmentation/test_segmentation_result", "sequences/test_images",
+    "uncertainty/test_comparing_planes", "uncertainty/test_point_noise",
+)  # fmt: skip
+
+
+def pytest_collection_modifyitems(items):
+    """Mark the tests of the quick files."""
+    for item in items:
+        if "/".join(item.path.with_suffix("").parts[-2:]) in QUICK:
+            item.add_marker(pytest.mark.quick)
+
+
 @pytest.fixture
 def rng():
     """A generator that starts the same in every test."""

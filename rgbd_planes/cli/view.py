@@ -29,6 +29,7 @@ def view(parser: argparse.ArgumentParser) -> Run:
 
     example: rgbd-planes view rgbd_dataset_freiburg1_xyz
 
+    The camera's path is the data set's, or else estimated from planes and tiles.
     Needs pip install "rgbd-planes[viewer]". Ctrl-C ends it. On another machine than the browser, forward the
     two ports: ssh -L 9090:localhost:9090 -L 9876:localhost:9876 robot
     """
@@ -91,20 +92,23 @@ def _show(live: "LiveView", sequence: "FrameSequence", min_size: int) -> "list[P
     """Segment, follow and show the frames; those that cannot be read are named and left out."""
     import numpy as np
 
-    from rgbd_planes import PlaneTracker, curvature, segment
+    from rgbd_planes import Odometry, PlaneTracker, curvature, segment
     from rgbd_planes.cli.progress import progress
     from rgbd_planes.sequences.problems import Problem, in_words, reason_to_skip
 
     tracker, first, problems = PlaneTracker(), None, []
+    stated = any(entry.pose is not None for entry in sequence.entries)
+    # One frame does not move, and frames of several cameras need not be of one moving camera.
+    follower = Odometry(sequence.camera) if not stated and len(sequence) > 1 and len(sequence.cameras) == 1 else None
     for number in progress(range(len(sequence)), len(sequence), "frames"):
         name = sequence.names[number]
         try:
             frame = sequence[number]
             found = tracker.follow(segment(frame.depth, frame.camera, min_size=min_size))
+            pose = frame.pose if follower is None else follower.update(frame).T_world_camera
         except Exception as error:
             problems.append(Problem(number, name, reason_to_skip(error, name)))
             continue
-        pose = frame.pose
         if pose is not None:  # seen from the first camera, so that down is down on the screen
             first = np.linalg.inv(pose) if first is None else first
             pose = first @ pose
@@ -114,5 +118,7 @@ def _show(live: "LiveView", sequence: "FrameSequence", min_size: int) -> "list[P
         raise CommandError(f"expected a frame that can be read, got none: {'; '.join(in_words(problems))}")
     for line in in_words(problems):
         print(f"rgbd-planes view: skipped {line}", file=sys.stderr)
-    print(f"{counted(len(sequence) - len(problems), 'frame')}, {counted(tracker.newest, 'plane')}.", flush=True)
+    path = "" if follower is None else " The camera's path is estimated from planes and tiles."
+    shown = f"{counted(len(sequence) - len(problems), 'frame')}, {counted(tracker.newest, 'plane')}."
+    print(shown + path, flush=True)
     return problems

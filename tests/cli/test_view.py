@@ -51,7 +51,10 @@ def test_view_writes_what_the_viewer_shows(folder, capsys):
         measured = CAMERA.points(depth)[depth > 0]
         np.testing.assert_allclose(points, measured, rtol=1e-6)
     assert len(columns["/camera/curvature", "EncodedImage:blob"]) == 2
-    assert not any(entity == "/path" for entity, _ in columns)
+    (path,) = columns["/path", "LineStrips3D:strips"][1]  # estimated: the data set has no poses
+    length = np.linalg.norm(np.subtract(path[1], path[0]))
+    assert "path is estimated" in out
+    assert abs(length - 0.2) < 0.02
 
 
 def test_view_moves_the_camera_where_the_data_set_has_poses(tmp_path, monkeypatch):
