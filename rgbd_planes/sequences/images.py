@@ -239,8 +239,8 @@ def _read_with_pillow(path: Path, file_format: str) -> Frame:
             "save it upright"
         )
     if frame is None:
-        reason = f"{count} images" if count != 1 else f"a colour, palette or black-and-white image (mode {mode})"
-        labels = ": if its colours are labels, numpy.asarray(PIL.Image.open(path)) has them" if mode == "P" else ""
+        what, labels = _MODES.get(mode, ("a colour image", ""))
+        reason = f"{count} images" if count != 1 else f"{what} (mode {mode})"
         raise ValueError(f"{shown(path)}: expected one depth image of one channel, got {reason}{labels}")
     if file_format == "PNG" and mode == "I":  # how some versions of Pillow open 16 bits
         frame = frame.astype(np.uint16)
@@ -257,6 +257,17 @@ def _encoding(image: Any) -> tuple[str, str]:
 
 _LONGEST_HEADER = 1 << 16  # bytes, comments included
 _PART_OF_TEXT = 1 << 20
+# What Pillow's modes are that hold no depth as they are, and the way on.
+_FIRST = ": if its first channel is depth, save that alone"
+_MODES = {
+    "LA": ("grey with transparency", _FIRST),
+    "La": ("grey with transparency", _FIRST),
+    "RGB": ("a colour image", ": a picture of depth, or depth coded in colours? The page on depth formats says how"),
+    "RGBA": ("a colour image with transparency", ": a picture of depth, or depth coded in colours?"),
+    "P": ("a palette image", ": if its colours are labels, numpy.asarray(PIL.Image.open(path)) has them"),
+    "1": ("a black-and-white image", ""),
+}
+
 # No side of an image has more digits, and Python makes no number of thousands of them.
 _PGM_HEADER = re.compile(rb"P([25])" + rb"(?:\s|#[^\n]*\n)+(\d{1,9})" * 3 + rb"\s")
 
@@ -333,6 +344,10 @@ def _rows(path: Path, kind: str, values: Frame, height: int, width: int) -> Fram
     return values[: height * width].reshape(height, width)
 
 
+class NoNumbersError(ValueError):
+    """A file is whole, but holds no numbers."""
+
+
 _NPY = b"\x93NUMPY"  # how an array begins
 _NAMED = 5  # arrays of a file that has several
 
@@ -343,7 +358,7 @@ def _read_npy(path: Path) -> Frame:
             raise ValueError(f"{shown(path)}: not an NPY file")
         try:
             return _array(file, path.stat().st_size)
-        except TooLargeError as error:
+        except (NoNumbersError, TooLargeError) as error:
             raise ValueError(f"{shown(path)}: {error}") from None
         except Exception as error:  # also from parsing the header, which is Python text
             raise damage(f"{shown(path)}: damaged or truncated NPY file", error) from error
@@ -357,7 +372,7 @@ def _read_npz(path: Path) -> Frame:
                 with archive.open(members[0]) as file:
                     if file.read(len(_NPY)) == _NPY:
                         return _array(file, members[0].file_size)
-    except TooLargeError as error:
+    except (NoNumbersError, TooLargeError) as error:
         raise ValueError(f"{shown(path)}: {error}") from None
     except Exception as error:  # from the archive, its compression, or the array
         raise damage(f"{shown(path)}: damaged or truncated NPZ file", error) from error
@@ -385,7 +400,10 @@ def _array(file: IO[bytes], size: int) -> Frame:
         file.seek(0)
         array = np.asarray(formats.read_array(file, allow_pickle=False))
     elif dtype.hasobject:
-        raise ValueError("it holds Python objects")
+        raise NoNumbersError(
+            "expected an array of numbers, got one of Python objects, which are not loaded from files: save the depth "
+            "itself, numpy.save(path, numpy.asarray(depth, numpy.float32))"
+        )
     else:  # no depth image: its shape and dtype say enough
         array = np.broadcast_to(np.zeros((), dtype), shape)
     while array.ndim > 2 and 1 in (array.shape[0], array.shape[-1]):

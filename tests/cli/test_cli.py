@@ -395,7 +395,7 @@ BAD_INPUT = {
     "method": (None, ["--method", "ransac"], "range_explicit.*ransac"),
     "share": (None, ["--max-missing", "2"], "fit: --max-missing must be between 0 and 1, got 2"),
     "threads": (None, ["--threads", "0"], "fit: --threads must be at least 1"),
-    "YAML": (lambda folder: Path("c.yaml").write_text("a: 1"), ["--camera", "c.yaml"], "expected the camera keys"),
+    "YAML": (lambda folder: (folder / "c.yaml").write_text("a: 1"), ["--camera", "c.yaml"], "expected the camera keys"),
     "out is no npz": (None, ["--out", "p.txt"], r"ends in \.npz or \.json"),
     "figure is no picture": (None, ["--figure", "p.docx"], r"\.png or"),
     "out in no folder": (None, ["--out", "none/p.npz"], "no folder"),

@@ -412,13 +412,13 @@ def test_a_png_with_more_pixels_than_its_bytes_can_hold_is_damaged(tmp_path):
     with pytest.raises(ValueError, match=r"depth\.png: damaged .* \(\d+ bytes for 8 x 4000000 pixels\)"):
         images.read_depth(tmp_path / "depth.png")
     Image.new("1", (20_000, 1_600)).save(tmp_path / "empty.png", compress_level=9)  # as small as there is
-    with pytest.raises(ValueError, match="got a colour, palette or black-and-white image"):
+    with pytest.raises(ValueError, match="got a black-and-white image"):
         images.read_depth(tmp_path / "empty.png")
 
 
 def test_pickled_arrays_are_not_executed(tmp_path):
     np.save(tmp_path / "depth.npy", np.array([[{"a": 1}]], dtype=object), allow_pickle=True)
-    with pytest.raises(ValueError, match="damaged"):
+    with pytest.raises(ValueError, match="got one of Python objects"):
         images.read_depth(tmp_path / "depth.npy")
 
 
@@ -593,3 +593,24 @@ def test_a_recording_is_for_batches(tmp_path):
     (tmp_path / "a.BAG").touch()
     with pytest.raises(ValueError, match=r"a\.BAG: expected one depth image, got a recording .`rgbd-planes batch`"):
         images.read_depth(tmp_path / "a.BAG")
+
+
+@pytest.mark.parametrize(
+    ("mode", "words"),
+    [
+        ("LA", r"got grey with transparency \(mode LA\): if its first channel is depth"),
+        ("RGBA", r"got a colour image with transparency \(mode RGBA\)"),
+        ("P", "got a palette image"),
+    ],
+)
+def test_images_of_other_modes_are_called_what_they_are(tmp_path, mode, words):
+    Image.new(mode, (8, 6)).save(tmp_path / "a.png")
+    with pytest.raises(ValueError, match=words):
+        images.read_depth(tmp_path / "a.png")
+
+
+def test_arrays_of_objects_are_not_damaged(tmp_path):
+    np.save(tmp_path / "a.npy", np.array([{"depth": 1}], dtype=object), allow_pickle=True)
+    with pytest.raises(ValueError, match=r"got one of Python objects, .*: save the depth itself") as told:
+        images.read_depth(tmp_path / "a.npy")
+    assert "damaged" not in str(told.value)
