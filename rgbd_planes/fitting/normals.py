@@ -100,6 +100,8 @@ def curvature(
 ) -> npt.NDArray[np.float32]:
     """Surface variation around every pixel: how far the surface, or its noise, departs from the fitted plane.
 
+    It has no sign and no unit, and noise makes most of it. For curvatures in 1/m use `principal_curvatures`.
+
     Parameters
     ----------
     depth : (H, W) array_like
