@@ -7,6 +7,7 @@
 - ``bench.real_sensors``, ``bench.uncertainty``: how right planes and their uncertainties are
 - ``bench.limits``: where uncertainties are wrong, and by how much
 - ``bench.segmentation``: how right, and how fast, the planes of scenes are
+- ``bench.repeatability``: whether planes are there in the next frame, and which are false
 - ``bench.tracking``: whether planes keep their ids
 - ``bench.chi_square``: fits the constants of a kernel
 - ``bench.pictures``: the pictures of the documentation

@@ -6,6 +6,7 @@
 - `curved`: regions that are no planes
 - `components`: regions become connected parts, parts become labels
 - `refit`: the final planes, from interior pixels
+- `evidence`: which of them are more than noise makes
 
 `rgbd_planes.segmentation` calls them, one kernel a step. A stage uses `model`, never another stage.
 """

@@ -34,3 +34,5 @@ class Reason(enum.IntEnum):
     """Its region is a strip of a few pixels, as depth edges make."""
     CURVED = 6
     """Its region is part of a curved surface."""
+    NOISE = 7
+    """Its region is no more of a plane than noise makes by itself."""

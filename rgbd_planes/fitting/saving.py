@@ -8,7 +8,7 @@ import json
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
-from typing import IO, Any, Self
+from typing import IO, Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -80,6 +80,9 @@ class _Arrays(Mapping[str, Any]):
 
 class Savable:
     """A base beside those of a result, a dataclass with a ``camera``: `save` and `load`."""
+
+    _later: ClassVar[frozenset[str]] = frozenset()
+    """Fields that files of earlier versions may not have."""
 
     @classmethod
     def _checked(cls, values: Values) -> Values:
@@ -165,6 +168,8 @@ def _values(cls: Any, about: Mapping[str, Any], arrays: Arrays) -> dict[str, Any
         elif field == "_pixels":
             values[field] = _pixels_in(about, arrays, values["camera"], len(values["status"]))
         else:
+            if name not in arrays and name not in about and field in cls._later:
+                continue
             values[field] = arrays[name] if name in arrays else about[name]
     return values
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -68,6 +68,9 @@ class Segmentation(Savable):
     rmse: Floats
     reason: NDArray[np.uint8]
     sigma: float
+    evidence: Floats
+
+    _later: ClassVar[frozenset[str]] = frozenset({"evidence"})
 
     def __len__(self) -> int:
         """Number of planes."""
@@ -181,7 +184,7 @@ class Segmentation(Savable):
     def to_table(self) -> dict[str, NDArray[Any]]:
         """Return one row per plane as a dict of equally long columns, which `pandas.DataFrame` takes.
 
-        Columns: label, size in pixels; nx, ny, nz, d; rmse, rmse_metric; angle_std, offset_std.
+        Columns: label, size in pixels; nx, ny, nz, d; rmse, rmse_metric; angle_std, offset_std; evidence.
         """
         return {
             "label": np.arange(1, len(self) + 1),
@@ -191,6 +194,7 @@ class Segmentation(Savable):
             "rmse_metric": self.rmse_metric,
             "angle_std": self.angle_std,
             "offset_std": self.offset_std,
+            "evidence": self.evidence.copy(),
         }
 
     @classmethod
@@ -198,6 +202,7 @@ class Segmentation(Savable):
         camera, labels, count = values["camera"], values["labels"], len(values["sizes"])
         if labels.shape != camera.shape:  # before memory is asked for: a nonsensical size takes any amount
             raise ValueError("labels of another image size")
+        values = {"evidence": np.full(count, np.nan), **values}
         check_alike(values, _allocate(camera, count))
         check_label_image(labels, camera.shape, count)
         check_planes(values["planes"], values["alpha"])
@@ -242,4 +247,5 @@ def _allocate(camera: Camera, count: int) -> dict[str, NDArray[Any]]:
         "sizes": np.empty(count, np.int32),
         "rmse": np.empty(count),
         "reason": np.empty(camera.shape, np.uint8),
+        "evidence": np.empty(count),
     }

@@ -23,10 +23,12 @@ from rgbd_planes.kernels.segmentation.components.occlusion_gaps import join_acro
 from rgbd_planes.kernels.segmentation.components.rim_outliers import release_rims
 from rgbd_planes.kernels.segmentation.components.runs import PIECES
 from rgbd_planes.kernels.segmentation.curved.curved import find_curved
+from rgbd_planes.kernels.segmentation.evidence.evidence import renumber_labels, weigh_planes
 from rgbd_planes.kernels.segmentation.model.planes import describe_planes
 from rgbd_planes.kernels.segmentation.model.records import Found, Labels, Rays, Reasons, Regions, Rules, View, plain
 from rgbd_planes.kernels.segmentation.noise.correlation import as_planes_show
 from rgbd_planes.kernels.segmentation.noise.estimate import nearest_surface
+from rgbd_planes.kernels.segmentation.noise.frame_noise import FLATNESS
 from rgbd_planes.kernels.segmentation.refit.interior import fit_inside
 from rgbd_planes.noise.model import NoiseModel, check_not_a_maker
 from rgbd_planes.noise.sigma import LARGEST_NOISE
@@ -158,6 +160,7 @@ def _segment(
     find_curved(plain(view), plain(regions), of_regions, plain(work.contacts), touching, curved, deviation)
     labels = Labels(aligned(camera.shape, np.int32), aligned(camera.shape, np.uint8))
     found = _find_planes(view, regions, curved, deviation, min_size, labels, work)
+    found, evidence = _keep_evident(view, labels, found)
     together = noise.together
     if given.is_sensors and together > 1.0:
         together = as_planes_show(together, pyramid, labels.label, inverse_depth)
@@ -187,6 +190,7 @@ def _segment(
         rmse=rmse,
         reason=labels.reason,
         sigma=about_noise.typical_sigma,
+        evidence=evidence,
     )
 
 
@@ -213,3 +217,15 @@ def _find_planes(
     fit_inside(seen, its, _REASONS.missing, plain(found))
     settle_strays(view.inverse_depth, runs, plain(found), loose, _REASONS.unclaimed, min_size, its)
     return found
+
+
+def _keep_evident(view: View, labels: Labels, found: Found) -> tuple[Found, Floats]:
+    """Leave out the planes that are no more than noise makes; returns the others, and the evidence for each."""
+    evidence = np.empty(len(found.moments))
+    weigh_planes(labels.label, view.inverse_depth, plain(view.rays), found.alpha, found.moments, FLATNESS, evidence)
+    is_kept = evidence >= view.rules.evidence
+    if is_kept.all():
+        return found, evidence
+    number = np.append(np.int32(0), np.where(is_kept, np.cumsum(is_kept, dtype=np.int32), np.int32(0)))
+    renumber_labels(number, np.uint8(Reason.NOISE), plain(labels))
+    return found.of_planes(is_kept), evidence[is_kept]

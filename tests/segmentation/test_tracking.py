@@ -153,7 +153,8 @@ def test_noise_and_the_least_size_are_those_of_each_frame() -> None:
         (tracked,) = segment_sequence([depth], CAMERA, **settings)
         expected = segment(depth, CAMERA, **settings)
         np.testing.assert_array_equal(tracked.segmentation.labels, expected.labels)
-        assert len(tracked.ids) == (3 if not settings else 2)
+        assert len(tracked.ids) == len(expected)
+        assert (len(expected) == 3) == (not settings)
 
 
 def test_what_is_forgotten_takes_no_room() -> None:

@@ -223,7 +223,9 @@ def find_curved(view, regions, planes, contacts, count, curved, deviation):
     region, region_moments, alpha, sigma = regions.block, regions.moments, planes.alpha, noise.sigma
     deviations(region_moments, planes, sigma, deviation)
     pairs, where, _ = contacts
-    significant, sharp = rules.region_spread, math.radians(rules.sharp)
+    # Errors that neighbours share bend a plane by chance: by their variance over squares of 32 pixels, as a multiple of
+    # that over 8, and as many more times as there are fewer independent ones.
+    significant, sharp = rules.region_spread * noise.growth[len(noise.growth) - 1] ** 4, math.radians(rules.sharp)
     many = len(alpha)
     box = np.empty((many, 4), np.int64)
     boxes(region, box)

@@ -46,8 +46,9 @@ class Rules(NamedTuple):
     sharp: float = 12.0  # degrees, root mean square, by which the normals of a curved surface turn
     blunt: float = 28.0  # degrees below which planes meet as the facets of something curved do
     narrow: float = 4.5  # pixels: the least mean length of a plane's runs along rows, and along columns
-    bent: float = 1.0  # variances per pixel that a region's own bend must make to be more than the sensor's
+    bent: float = 2.0  # variances per pixel that a region's own bend must make to be more than the sensor's
     off: float = 1.9  # deviations, times the waviness, that pixels at a plane's rim lie off it together to be no part
+    evidence: float = 22.0  # the least that a plane must have: see `evidence.weigh_planes`
     trips: int = 3  # from planes to pixels and back
 
     def tolerating(self, share: float) -> "Rules":
@@ -236,6 +237,14 @@ class Found(NamedTuple):
             self.number[:parts], self.why[:parts], self.stray[:parts], self.moments[:planes], self.deviation[:planes],
             self.inside[:planes], self.alpha[:planes], self.rss[:planes], self.weighted[:planes],
             self.size[: planes + 1], self.loose,
+        )  # fmt: skip
+
+    def of_planes(self, is_kept: Array) -> "Found":
+        """Only some of the planes, in arrays of their own; what is of parts stays as it is."""
+        return self._replace(
+            moments=self.moments[is_kept], deviation=self.deviation[is_kept], inside=self.inside[is_kept],
+            alpha=self.alpha[is_kept], rss=self.rss[is_kept], weighted=self.weighted[is_kept],
+            size=self.size[np.append(True, is_kept)],
         )  # fmt: skip
 
 

@@ -1,0 +1,1 @@
+"""Stage 8: is a plane more than noise makes?"""
