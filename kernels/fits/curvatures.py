@@ -130,23 +130,23 @@ def write_gathered(room, number, columns, focal, tan_x, tan_y, first, curvatures
 @kernel(reduction=True, arrays=False)
 def add_depth_sums(row, y, sign, length, depths):
     """Add a row's sums of q, qX and qXX at Y = ``y``, times ``sign``, to those of windows."""
-    of_q, of_x, of_xx = row[:PITCH], row[PITCH : 2 * PITCH], row[2 * PITCH :]
+    from_q, from_x, from_xx = row[:PITCH], row[PITCH : 2 * PITCH], row[2 * PITCH :]
     to_q, to_x, to_y, to_xx, to_xy, to_yy = depths[0], depths[1], depths[2], depths[3], depths[4], depths[5]
     sign_y, sign_yy = sign * y, sign * y * y
     for i in range(length):
-        to_q[i] += sign * of_q[i]
-        to_x[i] += sign * of_x[i]
-        to_y[i] += sign_y * of_q[i]
-        to_xx[i] += sign * of_xx[i]
-        to_xy[i] += sign_y * of_x[i]
-        to_yy[i] += sign_yy * of_q[i]
+        to_q[i] += sign * from_q[i]
+        to_x[i] += sign * from_x[i]
+        to_y[i] += sign_y * from_q[i]
+        to_xx[i] += sign * from_xx[i]
+        to_xy[i] += sign_y * from_x[i]
+        to_yy[i] += sign_yy * from_q[i]
 
 
 @kernel(reduction=True, arrays=False)
 def add_pixel_sums(row, y, sign, length, pixels):
     """Add a row's sums of 1, X, ..., X⁴ at Y = ``y``, times ``sign``, to those of windows."""
-    of_1, of_x, of_xx = row[:PITCH], row[PITCH : 2 * PITCH], row[2 * PITCH : 3 * PITCH]
-    of_xxx, of_xxxx = row[3 * PITCH : 4 * PITCH], row[4 * PITCH :]
+    from_1, from_x, from_xx = row[:PITCH], row[PITCH : 2 * PITCH], row[2 * PITCH : 3 * PITCH]
+    from_xxx, from_xxxx = row[3 * PITCH : 4 * PITCH], row[4 * PITCH :]
     for k in range(PIXELS):
         power = POWERS_OF_Y[k]
         factor = sign
@@ -155,19 +155,19 @@ def add_pixel_sums(row, y, sign, length, pixels):
         to = pixels[k]
         if POWERS_OF_X[k] == 0:
             for i in range(length):
-                to[i] += factor * of_1[i]
+                to[i] += factor * from_1[i]
         elif POWERS_OF_X[k] == 1:
             for i in range(length):
-                to[i] += factor * of_x[i]
+                to[i] += factor * from_x[i]
         elif POWERS_OF_X[k] == 2:
             for i in range(length):
-                to[i] += factor * of_xx[i]
+                to[i] += factor * from_xx[i]
         elif POWERS_OF_X[k] == 3:
             for i in range(length):
-                to[i] += factor * of_xxx[i]
+                to[i] += factor * from_xxx[i]
         else:
             for i in range(length):
-                to[i] += factor * of_xxxx[i]
+                to[i] += factor * from_xxxx[i]
 
 
 POWERS_OF_X = np.array([0, 1, 0, 2, 1, 0, 3, 2, 1, 0, 4, 3, 2, 1, 0])
@@ -219,13 +219,13 @@ def whole_windows(depths, missing, valid, count, x_0, y_0, fx, fy, terms, tan_x,
         Of the windows' centres; ``v`` is their tanθy.
     """
     per_pixel, spread, per_xx, per_bend, per_xxyy = terms
-    of_q, of_x, of_y, of_xx, of_xy, of_yy = depths[0], depths[1], depths[2], depths[3], depths[4], depths[5]
+    from_q, from_x, from_y, from_xx, from_xy, from_yy = depths[0], depths[1], depths[2], depths[3], depths[4], depths[5]
     for i in range(count):
         x = x_0 + i
-        s_q, s_x, s_y = of_q[i], of_x[i], of_y[i]
-        xx = of_xx[i] - x * (2.0 * s_x - x * s_q)
-        xy = of_xy[i] - x * s_y - y_0 * s_x + x * y_0 * s_q
-        yy = of_yy[i] - y_0 * (2.0 * s_y - y_0 * s_q)
+        s_q, s_x, s_y = from_q[i], from_x[i], from_y[i]
+        xx = from_xx[i] - x * (2.0 * s_x - x * s_q)
+        xy = from_xy[i] - x * s_y - y_0 * s_x + x * y_0 * s_q
+        yy = from_yy[i] - y_0 * (2.0 * s_y - y_0 * s_q)
         bend_x, bend_y = (xx - spread * s_q) * per_bend, (yy - spread * s_q) * per_bend
         q = s_q * per_pixel - spread * (bend_x + bend_y)
         there = (valid[i] > np.float32(0.0)) & (missing[i] == 0.0)
@@ -307,11 +307,11 @@ def separable_curvatures(
                 depths[:] = 0.0
                 pixels[:] = 0.0
                 for y in range(-half, half + 1):
-                    of = (row + y) % slots
+                    source = (row + y) % slots
                     at = float(centre + y - middle)
-                    add_depth_sums(rows[of], at, 1.0, columns, depths)
-                    if missing[of] > 0:
-                        add_pixel_sums(missing_rows[of], at, 1.0, columns, pixels)
+                    add_depth_sums(rows[source], at, 1.0, columns, depths)
+                    if missing[source] > 0:
+                        add_pixel_sums(missing_rows[source], at, 1.0, columns, pixels)
             else:
                 add_depth_sums(rows[slot], float(row - middle), 1.0, columns, depths)
                 add_depth_sums(rows[old], float(centre - half - 1 - middle), -1.0, columns, depths)

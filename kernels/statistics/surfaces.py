@@ -133,12 +133,12 @@ def assess_surfaces(
             along, rounding = pixel_variances(moments, beta, i, centre[0, i], centre[1, i], noise, grown)
             alone = rounding + lateral_variance(beta, i, noise, lens)
             freedom = max(n - 6.0, 0.0)
-            of_along = half = freedom
+            shared_part = half = freedom
             if tables.shape[0] > 0:
-                of_along, half = tables[index[i], EXPECTED], tables[index[i], HALF_VARIANCE]
-            of_along *= along
-            expected = max(of_along + alone * freedom, 1e-150)
-            half = along * along * half + alone * (2.0 * of_along + alone * freedom)
+                shared_part, half = tables[index[i], EXPECTED], tables[index[i], HALF_VARIANCE]
+            shared_part *= along
+            expected = max(shared_part + alone * freedom, 1e-150)
+            half = along * along * half + alone * (2.0 * shared_part + alone * freedom)
             work[0, k] = n * rmse[i] * rmse[i] / expected if n > 6.0 else 0.0
             work[1, k] = min(max(half / (expected * expected), 1e-9), 1.0 / chi_square.LEAST_FREEDOM)
         write_tails(noise[INVERSE_FREEDOM], work, BLOCK)
@@ -167,7 +167,7 @@ def factor_inverse(moments, i, low, inverse):
 
 
 @kernel(inline=True)
-def curvature_gradients(q, a, b, r, s, t, u, v, d, of_mean, of_gaussian):
+def curvature_gradients(q, a, b, r, s, t, u, v, d, mean_gradient, gaussian_gradient):
     """Write the gradients of H and K by β: of q, a, b, and of half of r, of s and of half of t."""
     square = u * u + v * v + 1.0
     c = q - a * u - b * v
@@ -182,20 +182,20 @@ def curvature_gradients(q, a, b, r, s, t, u, v, d, of_mean, of_gaussian):
     by_a = -2.0 * (square * b - q * v) * s + 2.0 * (square * a - q * u) * t
     by_b = 2.0 * (square * b - q * v) * r - 2.0 * (square * a - q * u) * s
     by_d = 3.0 * d * d * q * total
-    of_mean[0] = -0.5 * (by_d * d_q + cube * (total + q * by_q))
-    of_mean[1] = -0.5 * (by_d * d_a + cube * q * by_a)
-    of_mean[2] = -0.5 * (by_d * d_b + cube * q * by_b)
-    of_mean[3] = -cube * q * p_v
-    of_mean[4] = cube * q * p_m
-    of_mean[5] = -cube * q * p_u
+    mean_gradient[0] = -0.5 * (by_d * d_q + cube * (total + q * by_q))
+    mean_gradient[1] = -0.5 * (by_d * d_a + cube * q * by_a)
+    mean_gradient[2] = -0.5 * (by_d * d_b + cube * q * by_b)
+    mean_gradient[3] = -cube * q * p_v
+    mean_gradient[4] = cube * q * p_m
+    mean_gradient[5] = -cube * q * p_u
     fourth = (d * q) ** 4
     gaussian = 4.0 * fourth * (r * t - s * s)
-    of_gaussian[0] = gaussian * (d_q / d + 1.0 / q)
-    of_gaussian[1] = gaussian * d_a / d
-    of_gaussian[2] = gaussian * d_b / d
-    of_gaussian[3] = 2.0 * fourth * t
-    of_gaussian[4] = -2.0 * fourth * s
-    of_gaussian[5] = 2.0 * fourth * r
+    gaussian_gradient[0] = gaussian * (d_q / d + 1.0 / q)
+    gaussian_gradient[1] = gaussian * d_a / d
+    gaussian_gradient[2] = gaussian * d_b / d
+    gaussian_gradient[3] = 2.0 * fourth * t
+    gaussian_gradient[4] = -2.0 * fourth * s
+    gaussian_gradient[5] = 2.0 * fourth * r
 
 
 @kernel(inline=True)
@@ -232,7 +232,7 @@ def surface_statistics(
     """
     low, inverse = np.zeros((6, 6)), np.zeros((6, 6))
     spread, covariance, half = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
-    of_mean, of_gaussian, gradient = np.empty(6), np.empty(6), np.empty(6)
+    mean_gradient, gaussian_gradient, gradient = np.empty(6), np.empty(6), np.empty(6)
     work = np.empty((normal.WORK, BLOCK))
     for first in range(start, stop, BLOCK):
         count = min(BLOCK, stop - first)
@@ -283,20 +283,20 @@ def surface_statistics(
             q, a, b, r, s, t = beta[0], beta[1], beta[2], 2.0 * beta[3], beta[4], 2.0 * beta[5]
             d = tangent_distance(q, a, b, u, v)
             k_1, k_2 = principal_pair(mean_curvature(q, a, b, r, s, t, u, v, d), gaussian_curvature(q, r, s, t, d))
-            curvature_gradients(q, a, b, r, s, t, u, v, d, of_mean, of_gaussian)
-            results[MEAN_STD, i] = deviation(of_mean, covariance)
+            curvature_gradients(q, a, b, r, s, t, u, v, d, mean_gradient, gaussian_gradient)
+            results[MEAN_STD, i] = deviation(mean_gradient, covariance)
             # K is a product: at its estimate the gradient is too large by what noise adds, twice what noise itself
             # does to a product (Goodman, "On the exact variance of products", JASA 55, 1960).
             own = 0.5 * square_of_product(4.0 * (d * q) ** 4, covariance)
-            results[GAUSSIAN_STD, i] = math.sqrt(max(deviation(of_gaussian, covariance) ** 2 - own, own))
+            results[GAUSSIAN_STD, i] = math.sqrt(max(deviation(gaussian_gradient, covariance) ** 2 - own, own))
             # The entries of the shape operator along the principal directions: their sum is 2H, their product K.
             apart = k_1 - k_2
             for row in range(2):
                 one, sign = (k_1, 1.0) if row == 0 else (k_2, -1.0)
                 for k in range(6):
-                    gradient[k] = of_mean[k]
+                    gradient[k] = mean_gradient[k]
                     if apart > 1e-9 * (abs(k_1) + abs(k_2)):
-                        gradient[k] = sign * (2.0 * one * of_mean[k] - of_gaussian[k]) / apart
+                        gradient[k] = sign * (2.0 * one * mean_gradient[k] - gaussian_gradient[k]) / apart
                 results[FIRST_STD + row, i] = deviation(gradient, covariance)
             x_1, y_1, x_2, y_2 = principal_steps(q, a, b, r, s, t, u, v, d, k_1)
             scale = d / (q * max(apart, 1e-150))

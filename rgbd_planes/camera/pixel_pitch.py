@@ -108,7 +108,7 @@ def lens_by_angle(camera: Camera) -> Floats:
     radius = np.sqrt(square)
     places = np.rint(radius / (1.0 + radius) * (_ANGLES - 1)).astype(np.intp)
     number, sums, differences, squares = (
-        np.bincount(places, of, _ANGLES) for of in (None, across, along - across, square)
+        np.bincount(places, values, _ANGLES) for values in (None, across, along - across, square)
     )
     there = np.flatnonzero(number)
     if not len(there):  # one pixel, and it is on the axis
@@ -127,8 +127,8 @@ def _of_pixels(camera: Camera) -> Floats:
 def ray_changes(camera: Camera) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
     """(H, W) each: the changes of tanθx from pixel to pixel along a row and down a column, and those of tanθy."""
     u, v = camera.tan_x, camera.tan_y
-    of_u = _change(u, 1, 1.0 / camera.fx), _change(u, 0, 0.0)
-    return of_u, (_change(v, 1, 0.0), _change(v, 0, 1.0 / camera.fy))
+    u_changes = _change(u, 1, 1.0 / camera.fx), _change(u, 0, 0.0)
+    return u_changes, (_change(v, 1, 0.0), _change(v, 0, 1.0 / camera.fy))
 
 
 def _change(table: Floats, axis: int, alone: float) -> Floats:

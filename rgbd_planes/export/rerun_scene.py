@@ -64,13 +64,13 @@ class PlaneColours:
             self._colours = label_colours(2 * self.most)
         return np.asarray(classes)
 
-    def of_classes(self, classes: NDArray[np.int32]) -> NDArray[np.float64]:
+    def class_colours(self, classes: NDArray[np.int32]) -> NDArray[np.float64]:
         """(..., 3) float64: RGB of classes; dark grey for 0."""
         return np.vstack([NO_PLANE, self._colours])[classes]
 
     def log(self, rr: Any, stream: Any) -> None:
         """Log the names and colours of all classes so far."""
-        colours = self.of_classes(np.arange(self.most + 1, dtype=np.int32)).tolist()
+        colours = self.class_colours(np.arange(self.most + 1, dtype=np.int32)).tolist()
         classes = [(i, str(i) if i else "none", colour) for i, colour in enumerate(colours)]
         stream.log("/", rr.AnnotationContext(classes), static=True)
 
@@ -90,14 +90,14 @@ def log_outlines(rr: Any, stream: Any, found: Segmentation, ids: NDArray[np.int3
         rings = [np.vstack([ring, ring[:1]]) for part in plane.rings() for ring in part]
         outlines += [in_image(ring, found.camera) for ring in rings]
         own += [classes[plane.label - 1]] * len(rings)
-    strips = rr.LineStrips3D(outlines, colors=colours.of_classes(np.array(own, np.int32)))
+    strips = rr.LineStrips3D(outlines, colors=colours.class_colours(np.array(own, np.int32)))
     stream.log("planes/outlines", strips)
     stream.log("found", rr.Scalars(float(len(ids))))
 
 
 def coloured(labels: NDArray[np.int32], missing: NDArray[np.bool_], colours: PlaneColours) -> NDArray[np.uint8]:
     """(H, W, 3) uint8: pixels in the colours of their ids; dark where there is none, light where depth is missing."""
-    rgb = colours.of_classes(np.where(labels > 0, colours.classes(labels), 0))
+    rgb = colours.class_colours(np.where(labels > 0, colours.classes(labels), 0))
     rgb[missing & (labels == 0)] = MISSING
     return np.asarray(np.rint(255.0 * rgb), np.uint8)
 

@@ -193,11 +193,11 @@ class FrameSequence(Sequence[Frame]):
         if not self.entries:
             return "<FrameSequence: no frames>"
         cameras = len(self.cameras)
-        of = f"{cameras} cameras" if cameras > 1 else f"{self.camera.width} x {self.camera.height} pixels"
+        size = f"{cameras} cameras" if cameras > 1 else f"{self.camera.width} x {self.camera.height} pixels"
         frames = counted(len(self), "frame")
         by = f", {self._calibration}" if self._calibration else ""
         first, last = shown(self.entries[0].name), shown(self.entries[-1].name)
-        return f"<FrameSequence: {frames}, {of}, {first} to {last}{by}>"
+        return f"<FrameSequence: {frames}, {size}, {first} to {last}{by}>"
 
 
 def image_sequence(

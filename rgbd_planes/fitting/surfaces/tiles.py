@@ -48,7 +48,7 @@ def whole_tiles(camera: Camera, tile: tuple[int, int]) -> Floats:
             made[k] = by_row[j][:, None] * by_column[i]
     else:
         heights, widths = (tile_sizes(length, side) for length, side in zip(camera.shape, tile, strict=True))
-        spread = [np.repeat(np.repeat(of, heights, axis=0), widths, axis=1) for of in centre]
+        spread = [np.repeat(np.repeat(each, heights, axis=0), widths, axis=1) for each in centre]
         u, v = tan_x - spread[0], tan_y - spread[1]
         for k, (i, j) in enumerate(CAMERA_TERMS):
             made[k] = np.add.reduceat(np.add.reduceat(u**i * v**j, rows, axis=0), columns, axis=1)
