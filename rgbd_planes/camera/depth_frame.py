@@ -245,7 +245,7 @@ def check_shape(depth: ArrayLike, array: NDArray[Any], camera: Units) -> None:
             ": is the calibration that of another resolution? "
             f"camera.resized({width}, {height}) is that of frames that were resized"
         )
-    elif array.ndim == 2 and min(array.shape, default=0) > 1:
+    elif array.ndim == 2 and _is_part(array.shape, expected):
         height, width = array.shape
         reason = (
             ": was it cropped, or cropped and resized? camera.cropped(left, top, width, height) is that of a part, and "
@@ -256,6 +256,12 @@ def check_shape(depth: ArrayLike, array: NDArray[Any], camera: Units) -> None:
     raise ValueError(
         f"expected a depth frame of shape (height, width) = {expected}, as the camera's, got {array.shape}{reason}"
     )
+
+
+def _is_part(shape: tuple[int, ...], whole: tuple[int, int]) -> bool:
+    """Whether an image may have been cropped: it is smaller, by more than a pixel or two of rounding."""
+    smaller = [b - a for a, b in zip(shape, whole, strict=True)]
+    return min(shape) > 1 and min(smaller) >= 0 and max(smaller) > 2
 
 
 def _warn_of_lost_pixels(lost: NDArray[np.bool_]) -> None:

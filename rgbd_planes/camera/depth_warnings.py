@@ -200,7 +200,7 @@ def _are_all_behind(sample: NDArray[Any], disparity: tuple[float, float], invali
     """Whether a frame has many disparities, and all of them mean missing by their sign."""
     scale, offset = disparity
     # Mostly a few pixels show that some are measurements.
-    if any(scale * value + offset > 0.0 for value in sample[::64].tolist()):
+    if sample.size < _FEW_PIXELS or any(scale * value + offset > 0.0 for value in sample[::64].tolist()):
         return False
     values = sample[np.isfinite(sample) & ~np.isin(sample, invalid_values)].astype(np.float64)
     if len(values) <= 10 or not bool((scale * values + offset <= 0.0).all()):
