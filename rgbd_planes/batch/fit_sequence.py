@@ -140,8 +140,8 @@ def fit_sequence(
         nz, d; rmse, rmse_metric. Tiles of cameras with a noise model have p_value, too. They, and segments always, have
         the covariance of the plane: cov_nx_nx, cov_nx_ny, ..., cov_d_d. With `FitSettings.curvature` tiles also have
         kappa_1, kappa_2, mean_curvature and gaussian_curvature; with a noise model p_flat, mean_curvature_std and
-        gaussian_curvature_std, too. All floats but timestamp are in single precision. A segment's place is the rectangle
-        around it, its valid_count its pixels.
+        gaussian_curvature_std, too. All floats but timestamp are in single precision. A segment's place is the
+        rectangle around it, its valid_count its pixels.
     settings : FitSettings, optional
         Tiles or segments, and the arguments of `fit_tiles` or `segment`.
     num_threads : int, optional
