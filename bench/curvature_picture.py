@@ -1,11 +1,8 @@
-"""``python -m bench.curvature_picture``: the picture of the page on curvature: a ball, a pipe and a cushion."""
-
-import argparse
-import sys
-from pathlib import Path
+"""The picture of the page on curvature: a wall and a floor with a ball, a pipe and a cushion."""
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib.figure import Figure
 
 import rgbd_planes as rp
 from rgbd_planes.noise import KINECT_V1
@@ -38,16 +35,8 @@ def curved_room(camera: rp.Camera, seed: int = 0) -> Floats:
     return np.asarray(1.0 / (q + KINECT_V1 * rng.standard_normal(q.shape)))
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Draw it."""
-    parser = argparse.ArgumentParser(prog="python -m bench.curvature_picture", description="Draw curved surfaces.")
-    parser.add_argument("--out", type=Path, default=Path("docs/images/curvature.png"), metavar="PNG")
-    options = parser.parse_args(arguments)
+def picture() -> Figure:
+    """Draw the surfaces of that room's tiles."""
     camera = rp.Camera(640, 480, 525.0, 525.0, 319.5, 239.5, noise=rp.noise.kinect_v1())
     depth = curved_room(camera)
-    rp.fit_surfaces(depth, camera, 20).plot(depth).savefig(options.out, dpi=85)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    return rp.fit_surfaces(depth, camera, 20).plot(depth)

@@ -18,7 +18,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from PIL import Image
 
-from bench import browser, drawings, story
+from bench import browser, curvature_picture, drawings, story
 from rgbd_planes.camera import presets
 from rgbd_planes.evaluation import scenes
 from rgbd_planes.sequences import images
@@ -99,6 +99,7 @@ OTHERS: dict[str, tuple[str, Callable[[], None]]] = {
     "story": ("story.gif", lambda: story.draw(FOLDER / "story.gif")),
     "view": ("view.png", view),
     "normals": ("normals.png", normals),
+    "curvature": ("curvature.png", lambda: curvature_picture.picture().savefig(FOLDER / "curvature.png", dpi=85)),
     **{
         name: (f"{name}.png", _drawing(name, figure))
         for name, figure in (
