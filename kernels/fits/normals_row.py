@@ -132,8 +132,11 @@ def surface_row(all_sums, wanted, needed, focal, pixel, rays, results):
         across = a * (u * c_uu + v * c_uv) + b * (u * c_uv + v * c_vv)
         along = a * a * c_uu + 2.0 * a * b * c_uv + b * b * c_vv
         spread = c_uu + c_vv + z * (z * (u * u + v * v + 1.0) * along - 2.0 * across)
+        spread = spread if spread > 0.0 else 0.0
         off_plane = mean_square * (inverse_norm * inverse_norm)
-        variation[i] = nan + off_plane / (off_plane + spread)
+        share = off_plane / (off_plane + spread)
+        share = share if share < 1.0 else 1.0  # NaN where both are infinite
+        variation[i] = nan + (share if off_plane > 0.0 else 0.0)
 
 
 @kernel(arrays=False)

@@ -22,6 +22,8 @@ OK, TOO_FEW, DEGENERATE, ROUGH = 0, 1, 2, 3
 COLLINEAR = 1e-9
 # A plane counts as passing through the camera centre below this distance, as a share of the depth.
 CENTRE = 1e-6
+# Metres. Beyond these, the fourth power of the distance and variances have no digits left: no camera sees such planes.
+NEAREST, FARTHEST = 1e-30, 1e30
 # Second moments may be off by this share of what they were summed from: anything smaller is not scatter. Moments about
 # a tile's centre reach COLLINEAR long before: their kernels omit this test.
 MOMENT_ROUNDING = 128 * 2.0**-53
@@ -228,7 +230,7 @@ def write_planes(work, valid, needed, max_error, count, results):
         a, b, c = solution[0, i], solution[1, i], solution[2, i]
         d = 1.0 / math.sqrt(a * a + b * b + c * c)
         enough = valid[i] >= needed[i]
-        fitted = enough & (d < math.inf) & (d > nearest[i]) & (metric[i] == metric[i])
+        fitted = enough & (d > nearest[i]) & (d > NEAREST) & (d < FARTHEST) & (metric[i] < math.inf)
         nothing = 0.0 if fitted else math.nan
         solution[0, i] = a + nothing
         solution[1, i] = b + nothing

@@ -161,9 +161,9 @@ def naming(path: str | os.PathLike[str]) -> Iterator[None]:
     try:
         yield
     except TypeError as error:
-        raise TypeError(f"{shown(path)}: {error}") from None
+        raise TypeError(shown(f"{path}: {error}")) from None
     except ValueError as error:
-        raise ValueError(f"{shown(path)}: {error}") from None
+        raise ValueError(shown(f"{path}: {error}")) from None
 
 
 @contextmanager

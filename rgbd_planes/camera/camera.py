@@ -43,6 +43,7 @@ _PIXELS = "whole number of pixels"
 _SQUEEZED = 0.02  # share by which the two scales of a resized image may differ, besides rounding
 _SELDOM = "noise", "rays", "is_part"  # keys of a camera's file that most lack
 FLIPS = ("horizontal", "vertical")
+_SHORTEST = 1e-2  # pixels: of nearer to 0 a single one would see nearly everything, and sums have no digits
 _LARGEST = 1e8  # pixels: far beyond any camera; with tangents of larger numbers sums lose all digits
 
 
@@ -126,7 +127,7 @@ class Camera:
             self._set(name, check_whole(name, getattr(self, name), 1, _PIXELS, bits=31))
         for name in ("fx", "fy", "cx", "cy"):
             self._set(name, number(name, getattr(self, name)))
-        for name, least in (("fx", 1.0 / _LARGEST), ("fy", 1.0 / _LARGEST), ("cx", 0.0), ("cy", 0.0)):
+        for name, least in (("fx", _SHORTEST), ("fy", _SHORTEST), ("cx", 0.0), ("cy", 0.0)):
             value = getattr(self, name)
             if least and value == 0:
                 raise ValueError(f"expected {name} in pixels, not 0, got {value!r}")

@@ -160,6 +160,7 @@ def check_unit(dtype: np.dtype[Any], camera: Units) -> None:
         )
 
 
+@np.errstate(all="ignore")  # depths of any size are compared with what is likely
 def _read(array: NDArray[Any], camera: Units) -> DepthFrame:
     """`as_depth_frame` of a frame, or of several, (..., H, W)."""
     kind = array.dtype.kind

@@ -204,6 +204,14 @@ def check_alike(arrays: Arrays, expected: Arrays) -> None:
             raise ValueError(f"{name} of another shape or dtype")
 
 
+def check_covariances(covariances: NDArray[np.float64]) -> None:
+    """Raise a ValueError unless (N, K, K) covariances are finite and symmetric, and no variance is negative."""
+    variances = np.diagonal(covariances, axis1=1, axis2=2)
+    symmetric = np.array_equal(covariances, covariances.transpose(0, 2, 1))
+    if not (np.isfinite(covariances).all() and (variances >= 0.0).all() and symmetric):
+        raise ValueError("covariances that are infinite, negative or not symmetric")
+
+
 def check_planes(planes: NDArray[np.float64], alpha: NDArray[np.float64]) -> None:
     """Raise a ValueError unless (N, 4) planes are finite, with unit normals and d > 0, and (N, 3) alpha is -n / d."""
     normal, d = planes[:, :3], planes[:, 3:]

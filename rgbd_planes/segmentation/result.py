@@ -12,7 +12,7 @@ from rgbd_planes._core.arrays import Floats
 from rgbd_planes._core.status import Reason
 from rgbd_planes._core.text import counted, percent
 from rgbd_planes.camera.camera import Camera
-from rgbd_planes.fitting.saving import Savable, Values, check_alike, check_label_image, check_planes
+from rgbd_planes.fitting.saving import Savable, Values, check_alike, check_covariances, check_label_image, check_planes
 from rgbd_planes.fitting.tile_grid import common_labels
 
 if TYPE_CHECKING:
@@ -126,7 +126,8 @@ class Segmentation(Savable):
         jacobian = np.empty((len(self), 4, 3))
         jacobian[:, :3] = -d[:, None, None] * (np.eye(3) - n[:, :, None] * n[:, None, :])
         jacobian[:, 3] = d[:, None] ** 2 * n
-        return np.asarray(jacobian @ self.alpha_covariance @ jacobian.transpose(0, 2, 1))
+        covariance = np.asarray(jacobian @ self.alpha_covariance @ jacobian.transpose(0, 2, 1))
+        return np.asarray(0.5 * (covariance + covariance.transpose(0, 2, 1)))  # rounding has no symmetry
 
     @property
     def angle_std(self) -> Floats:
@@ -206,6 +207,7 @@ class Segmentation(Savable):
         check_alike(values, _allocate(camera, count))
         check_label_image(labels, camera.shape, count)
         check_planes(values["planes"], values["alpha"])
+        check_covariances(values["alpha_covariance"])
         return {**values, "sigma": float(values["sigma"])}
 
     def plot(self, depth: ArrayLike | None = None, figure: Figure | None = None) -> Figure:

@@ -259,3 +259,32 @@ def test_a_later_numba_keeps_its_own_files(of_a_process, monkeypatch):
     twice = of_a_process()
     assert twice(3) == 6
     assert loaded(twice) == (1, 0)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has other permissions")
+@pytest.mark.parametrize("mode", [0o666, 0o646, 0o664])
+def test_a_kernel_that_others_can_write_is_not_loaded(of_a_process, files, mode, monkeypatch):
+    """Loading it would run it. Where they can write the sources, too, there is nothing to protect."""
+    sources = os.stat(disk_cache.__file__).st_mode
+    files[0].chmod(mode)
+    twice = of_a_process()
+    assert twice(3) == 6
+    trusted = not mode & ~sources & 0o022
+    assert loaded(twice) == ((1, 0) if trusted else (0, 1))
+    if not trusted:
+        assert files[0].stat().st_mode & 0o022 == 0  # written anew
+    monkeypatch.setattr(os, "geteuid", lambda: 4321)
+    monkeypatch.setattr(disk_cache.os, "stat", lambda path: os.stat_result((0o100644, 0, 0, 1, 4321, 0, 0, 0, 0, 0)))
+    status = os.stat_result((0o100644, 0, 0, 1, 1234, 0, 0, 0, 0, 0))
+    assert not disk_cache._is_trusted(status)  # another user's
+    assert disk_cache._is_trusted(os.stat_result((0o100644, 0, 0, 1, 0, 0, 0, 0, 0, 0)))  # the administrator's
+
+
+def test_a_kernel_under_the_name_of_another_is_not_loaded(of_a_process, files):
+    twice = of_a_process()
+    assert twice(0.25) == 0.5
+    (other,) = {*files[0].parent.glob(f"{twice._cache._impl.filename_base}*.nbc")} - set(files)
+    other.write_bytes(files[0].read_bytes())  # an intact file, of integers
+    twice = of_a_process()
+    assert twice(0.25) == 0.5
+    assert loaded(twice) == (0, 1)

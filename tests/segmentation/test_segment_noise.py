@@ -21,6 +21,7 @@ from rgbd_planes.evaluation import scenes
 from rgbd_planes.evaluation.metrics import compare_labels
 from rgbd_planes.kernels.common.quantiles import quantile
 from rgbd_planes.kernels.segmentation.blocks.pyramid import read_frame
+from rgbd_planes.kernels.segmentation.model import pixel_noise
 from rgbd_planes.kernels.segmentation.model.pixel_noise import sensor_variance, sensor_variances, waviness
 from rgbd_planes.kernels.segmentation.model.records import Rules
 from rgbd_planes.kernels.segmentation.noise.estimate import estimate_noise as estimate_frame_noise
@@ -475,3 +476,13 @@ def test_steps_of_a_regular_grid_are_no_waves(side, noise, rng):
     off = np.abs(q - found.fitted_inverse_depth())[there]
     assert np.mean(there) > 0.9
     assert np.mean(off > 6e-3) < 0.01
+
+
+@pytest.mark.parametrize("q", [-1e-9, -1e3, -1e300, -np.inf, np.nan])
+def test_a_mean_that_rounding_made_negative_counts_as_zero(q):
+    """Where a sum of inverse depths cancels beside 1/Z of 1e17, no entry before the table is read."""
+    sigma = np.array([0.25, 3.0, 4.0, 5.0])
+    variance = np.empty(3)
+    pixel_noise.sensor_variances(np.ones(3), np.array([q, 0.0, 0.25]), sigma, variance)
+    assert variance.tolist() == [9.0, 9.0, 16.0]
+    assert [pixel_noise.sensor_variance(value, sigma) for value in (q, 0.0, 0.25, 1e300)] == [9.0, 9.0, 16.0, 25.0]

@@ -12,9 +12,10 @@ def sensor_variance(q, sigma):
     """Variance of an inverse depth.
 
     ``sigma`` holds the step of a table and then the standard deviation at q = 0, step, 2 step, ...; it is linear
-    between the entries and constant beyond the last.
+    between the entries and constant beyond the last. Rounding may have made ``q`` negative, or NaN: it counts as 0.
     """
-    position = min(q / sigma[0], sigma.shape[0] - 2.0)
+    position = q / sigma[0]
+    position = min(position, sigma.shape[0] - 2.0) if position > 0.0 else 0.0
     i = min(int(position), sigma.shape[0] - 3)
     share = position - i
     value = sigma[i + 1] * (1.0 - share) + sigma[i + 2] * share
@@ -38,7 +39,8 @@ def sensor_variances(pixels, sum_q, sigma, variance):
     """Write `sensor_variance` at the mean inverse depth of squares, from ``pixels`` and ``sum_q``, (T,) each."""
     last, scale = sigma.shape[0] - 2.0, 1.0 / sigma[0]
     for i in range(len(variance)):  # by itself, since divisions vectorise
-        variance[i] = min(sum_q[i] / max(pixels[i], 1.0) * scale, last)
+        position = min(sum_q[i] / max(pixels[i], 1.0) * scale, last)
+        variance[i] = position if position > 0.0 else 0.0
     lower, upper, most = sigma[1:], sigma[2:], np.int32(sigma.shape[0] - 3)
     for i in range(len(variance)):
         position = variance[i]

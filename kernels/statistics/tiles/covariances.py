@@ -32,6 +32,9 @@ from .block import (
 
 # Largest variance of ln σ over a tile that counts as small, and square of the correlation of its rays.
 MOST_CHANGE, MOST_SLANTED = 0.02, 0.8
+# Of rays from the moments of (X, Y, Z): below this share of what it is a difference of, a scatter is rounding, and rays
+# are in one line but for rounding beyond this correlation.
+ROUNDING_SHARE, MOST_CORRELATED = 2.0**-48, 1.0 - 1e-9
 
 
 @kernel(reduction=True, inline=True)
@@ -60,9 +63,15 @@ def ray_scatter(in_range_space, block):
             block[2, i] *= nearness
             mean_u, mean_v = block[1, i], block[2, i]
             square = nearness * nearness
-            block[4, i] = (block[4, i] - 2.0 * mean_u * c_uw + mean_u * mean_u * c_ww) * square
-            block[5, i] = (block[5, i] - mean_u * c_vw - mean_v * c_uw + mean_u * mean_v * c_ww) * square
-            block[7, i] = (block[7, i] - 2.0 * mean_v * c_vw + mean_v * mean_v * c_ww) * square
+            least_u = ROUNDING_SHARE * (block[4, i] + mean_u * mean_u * c_ww)
+            least_v = ROUNDING_SHARE * (block[7, i] + mean_v * mean_v * c_ww)
+            c_uu = max(block[4, i] - 2.0 * mean_u * c_uw + mean_u * mean_u * c_ww, least_u)
+            c_uv = block[5, i] - mean_u * c_vw - mean_v * c_uw + mean_u * mean_v * c_ww
+            c_vv = max(block[7, i] - 2.0 * mean_v * c_vw + mean_v * mean_v * c_ww, least_v)
+            most = MOST_CORRELATED * math.sqrt(c_uu) * math.sqrt(c_vv)
+            block[4, i] = c_uu * square
+            block[5, i] = min(max(c_uv, -most), most) * square
+            block[7, i] = c_vv * square
 
 
 @kernel(inline=True)
