@@ -13,6 +13,7 @@ from typing import Any
 from bench import (
     batch_throughput,
     first_call,
+    odometry,
     peers,
     plots,
     real_sensors,
@@ -35,11 +36,13 @@ SECTIONS = {
     "batch": batch_throughput,
     "segments": segmentation,
     "tracking": tracking,
+    "odometry": odometry,
     "sensors": real_sensors,
     "uncertainty": uncertainty_real,
 }
 # The page of each section; of the others it is measured.md.
 PAGES = {
+    "odometry": "measured/segments.md",
     "peers": "measured/speed.md",
     "roofline": "measured/speed.md",
     "first": "measured/speed.md",

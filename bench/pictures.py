@@ -30,6 +30,7 @@ PICTURES = {
     "demo": ("README.md", "planes.png"),
     "segments": ("docs/howto/segments.md", "segments.png"),
     "noise": ("docs/howto/noise.md", "noise.png"),
+    "odometry": ("docs/howto/odometry.md", "odometry.png"),
     "bias": ("docs/howto/bent-floors.md", "bias.png"),
     "fisheye": ("docs/howto/calibration.md", "fisheye.png"),
 }

@@ -52,6 +52,7 @@ _NAMES = {
     "normals": "fitting.normals",
     "odometry": "egomotion.odometry",
     "open_sequence": "sequences",
+    "plot_trajectory": "plotting.trajectory",
     "plane_polygons": "segmentation.polygons",
     "principal_curvatures": "fitting.surfaces.dense",
     "segment": "segmentation.segment",
@@ -115,6 +116,7 @@ if TYPE_CHECKING:
     from rgbd_planes.fitting.windows import WindowPlanes as WindowPlanes
     from rgbd_planes.fitting.windows import fit_windows as fit_windows
     from rgbd_planes.noise_estimation.estimation import estimate_noise as estimate_noise
+    from rgbd_planes.plotting.trajectory import plot_trajectory as plot_trajectory
     from rgbd_planes.segmentation.polygons import PlanePolygon as PlanePolygon
     from rgbd_planes.segmentation.polygons import plane_polygons as plane_polygons
     from rgbd_planes.segmentation.quadtree import segment_quadtree as segment_quadtree

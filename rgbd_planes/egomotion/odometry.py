@@ -22,7 +22,7 @@ from rgbd_planes.segmentation.segment import MIN_SIZE, check_settings, segment_f
 from rgbd_planes.segmentation.tracking import PlaneTracker, TrackedSegmentation
 
 LEAST_SHARE = 0.25  # of a frame's tiles that must be seen again: it is lost otherwise
-FAIR_SHARE = 0.5  # with less, other motions than the prior's are tried as well
+FAIR_SHARE = 0.8  # with less, other motions than the prior's are tried as well
 ROUGHEST_MATCH = 8.0  # largest scale of residuals, in typical standard deviations of the frame's inverse depth
 GIVEN_UP = 10  # frames that are lost one after another: then a new keyframe is where the prior says
 # Prior: motions change from one frame to the next by such standard deviations, in rad and m.

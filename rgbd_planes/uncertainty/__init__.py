@@ -1,5 +1,6 @@
 """What noise does to a plane, and what follows: comparing, moving and fusing planes. Uses `camera` and below."""
 
+from rgbd_planes.uncertainty.planes import PlaneAlignment as PlaneAlignment
 from rgbd_planes.uncertainty.planes import align_planes as align_planes
 from rgbd_planes.uncertainty.planes import angle_between as angle_between
 from rgbd_planes.uncertainty.planes import fuse_planes as fuse_planes

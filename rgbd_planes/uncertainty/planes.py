@@ -8,6 +8,8 @@ raise a TypeError.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -22,6 +24,10 @@ from rgbd_planes.uncertainty.far_planes import about, covariance_about, covarian
 # Share of the squared variances of a normal that rounding leaves of their determinant. For a strip of pixels it is
 # larger: the square of its width over its length.
 _RANK = 1e-12
+_LEAST_TURN = 1e-9  # weight of no turn, against that of one plane
+# Information of a direction, in 1/rad² for each plane, that errors of the normals may feign where there is none: a half
+# in the mean.
+_FEIGNED = 10.0
 _ROUNDS = 20  # at most, in which a motion is improved: 5 do for normals that err by milliradians, 8 where by degrees
 _SAME_SIDES = "expected the same planes in both frames, row by row, with normals to the same side"
 _ROUNDED = 1e-3  # how far a normal's length is from 1, at most, where its numbers have three digits or more
@@ -302,9 +308,36 @@ def _slope_of_motion(normal: Floats, translation: Floats) -> Floats:
     return slope
 
 
+@dataclass(frozen=True, eq=False)
+class PlaneAlignment:
+    """The motion between two frames, by planes that both show; unpacks as (transform, covariance).
+
+    Errors are (ω, τ), in radians and metres, in the axes of the other frame: see `transform_planes`.
+
+    Attributes
+    ----------
+    transform : (4, 4) float64
+        As `transform_planes` takes it: X in the other frame is R·X + t.
+    covariance : (6, 6) float64
+        Of (ω, τ); NaN where some direction is open.
+    information : (6, 6) float64
+        Of (ω, τ): the inverse of the covariance; of rank 5 or 3 where the planes face two directions, or one.
+    unobservable : (k, 6) float64
+        Orthonormal directions of (ω, τ) that the planes leave open; k is 0 where they face three directions.
+    """
+
+    transform: Floats
+    covariance: Floats
+    information: Floats
+    unobservable: Floats
+
+    def __iter__(self) -> Iterator[Floats]:
+        return iter((self.transform, self.covariance))
+
+
 def align_planes(
     planes: npt.ArrayLike, plane_covariance: npt.ArrayLike, other_planes: npt.ArrayLike, other_covariance: npt.ArrayLike
-) -> tuple[Floats, Floats]:
+) -> PlaneAlignment:
     """Find the rigid motion that takes planes to what they are in another frame, as of a camera between two frames.
 
     Parameters
@@ -316,22 +349,24 @@ def align_planes(
 
     Returns
     -------
-    transform : (4, 4) float64
-        As `transform_planes` takes it: X in the other frame is R·X + t.
-    transform_covariance : (6, 6) float64
-        Of (ω, τ), radians and metres, see `transform_planes`.
+    PlaneAlignment
+        ``transform, covariance = align_planes(...)`` takes two of its fields; it also has the information, and the
+        directions that the planes leave open.
 
     Raises
     ------
     ValueError
-        Fewer than three planes are in both frames, or they do not face three directions. Or no motion takes the normals
-        to the same sides. Or a covariance is not of rank 3.
+        No motion takes the normals to the same sides. Or a covariance is not of rank 3.
 
     Notes
     -----
     Maximum likelihood, by Gauss and Newton's method from the motion of the normals alone (Kabsch 1976). One pair of
-    different planes spoils it: `same_plane`, of the planes after the motion, tells which. In directions that planes
-    hardly face, as along a corridor, deviations are large.
+    different planes spoils it: `same_plane`, of the planes after the motion, tells which.
+
+    Planes that face one direction leave two translations and a turn open, as a wall does; two directions leave one
+    translation open, as in a corridor. The transform has no part along what is open. A direction counts as open where
+    its information is no more than errors of the normals alone would feign: its deviation is then above a fifth of a
+    radian, or of the planes' median distance.
     """
     from scipy.spatial.transform import Rotation
 
@@ -350,17 +385,19 @@ def align_planes(
         first_covariance[there],
         second_covariance[there],
     )
-    if np.linalg.matrix_rank(first[:, :3], tol=_RANK) < 3:
-        raise ValueError(f"expected planes that face three directions in both frames, got {len(first)} that do not")
+    if not len(first):
+        return PlaneAlignment(np.eye(4), np.full((6, 6), np.nan), np.zeros((6, 6)), np.eye(6))
     _check_rank(first, first_covariance)
     _check_rank(second, second_covariance)
     motion, products = np.eye(4), second[:, :3].T @ first[:, :3]
-    motion[:3, :3] = nearest_rotation(products)
+    # Around a direction that all normals are along, the least turn.
+    motion[:3, :3] = nearest_rotation(products + _LEAST_TURN * np.eye(3))
     # Of normals to the other side this is a rotation and a reflection, unless they hardly face three directions.
     scatter = np.sqrt(np.trace(first_covariance[:, :3, :3] + second_covariance[:, :3, :3], axis1=1, axis2=2).sum())
     if np.linalg.det(products) < 0.0 and np.linalg.svd(products, compute_uv=False)[-1] > 5.0 * scatter:
         raise ValueError(f"{_SAME_SIDES}, got some that only a reflection brings together")
     axes = _axes_across(second[:, :3]) @ about(_surest(second, second_covariance))
+    units = np.repeat([1.0, max(float(np.median(np.abs(second[:, 3]))), 1e-9)], 3)
     for _ in range(_ROUNDS):
         moved, moved_covariance = transform_planes(first, first_covariance, motion)
         errors = np.sum(axes * (second - moved)[:, None, :], axis=-1)
@@ -368,11 +405,13 @@ def align_planes(
         weighted = np.swapaxes(slope, 1, 2) @ np.linalg.inv(
             axes @ (moved_covariance + second_covariance) @ np.swapaxes(axes, 1, 2)
         )
-        covariance = np.linalg.inv((weighted @ slope).sum(axis=0))
+        information = (weighted @ slope).sum(axis=0)
+        observed, null = _observed(information, units, _FEIGNED * len(first))
+        covariance = observed.T @ np.linalg.inv(observed @ information @ observed.T) @ observed
         step = covariance @ (weighted @ errors[..., None]).sum(axis=(0, 2))
         motion[:3, :3] = Rotation.from_rotvec(step[:3]).as_matrix() @ motion[:3, :3]
         motion[:3, 3] += step[3:]
-        if (np.abs(step) < 1e-6 * np.sqrt(np.diagonal(covariance))).all():
+        if (np.abs(step) <= 1e-6 * np.sqrt(np.diagonal(covariance))).all():
             break
     opposite = np.sum((first[:, :3] @ motion[:3, :3].T) * second[:, :3], axis=1) < 0.0
     if opposite.any():
@@ -381,7 +420,18 @@ def align_planes(
             f"{_SAME_SIDES}, got some that no motion brings together: by the nearest one normals of rows {rows} are "
             "opposite"
         )
-    return motion, covariance
+    if len(null):
+        information = observed.T @ (observed @ information @ observed.T) @ observed
+        covariance = np.full((6, 6), np.nan)
+    return PlaneAlignment(motion, covariance, information, null)
+
+
+def _observed(information: Floats, units: Floats, least: float) -> tuple[Floats, Floats]:
+    """Orthonormal directions, rows, of more information than the least, in some units, and the others."""
+    values, vectors = np.linalg.eigh(information * np.outer(units, units))
+    basis = np.linalg.qr((vectors.T * units).T)[0].T  # those of little information first
+    open_count = int(np.count_nonzero(values <= least))
+    return basis[open_count:], basis[:open_count]
 
 
 def fuse_planes(planes: npt.ArrayLike, plane_covariance: npt.ArrayLike) -> tuple[Floats, Floats]:

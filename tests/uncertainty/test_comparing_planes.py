@@ -508,19 +508,49 @@ def test_a_camera_is_found_again_from_the_planes_of_a_room():
     assert np.sqrt(np.diag(covariance)).max() < 0.01
 
 
-@pytest.mark.parametrize(
-    ("chosen", "message"),
-    [
-        (slice(0, 2), "three directions in both frames, got 2 that do not"),
-        ([0, 1, 0], "three directions in both frames, got 3 that do not"),
-        ([], "three directions in both frames, got 0 that do not"),
-        (0, r"expected \(K, 4\) planes"),
-    ],
-)
-def test_planes_that_tell_no_motion_are_refused(rng, chosen, message):
+@pytest.mark.parametrize(("faced", "free"), [(1, 3), (2, 1), (3, 0), (0, 6)])
+def test_what_planes_do_not_tell_of_a_motion(rng, faced, free):
+    """Several parallel planes of each direction, with noise: what they leave open is that of the true normals."""
+    normals = np.repeat(np.eye(3)[:faced], 3, axis=0)
+    planes = np.column_stack([normals, rng.uniform(1.0, 3.0, len(normals))])
+    spread = np.diag([1e-5, 1e-5, 1e-5, 1e-4])
+    covariance = np.zeros((len(planes), 4, 4))
+    for i, normal in enumerate(normals):
+        across = np.eye(4)
+        across[:3, :3] -= np.outer(normal, normal)
+        covariance[i] = across @ spread @ across
+    motion = motion_of([0.02, -0.05, 0.03], [0.1, -0.05, 0.2])
+    others, _ = rp.uncertainty.transform_planes(planes, covariance, motion)
+
+    def measured(exact):
+        noisy = exact + rng.normal(size=exact.shape) * [3e-3, 3e-3, 3e-3, 1e-2]
+        noisy[:, :3] /= np.linalg.norm(noisy[:, :3], axis=1, keepdims=True)
+        return noisy
+
+    found = rp.uncertainty.align_planes(measured(planes), covariance, measured(others), covariance)
+    assert found.unobservable.shape == (free, 6)
+    np.testing.assert_allclose(found.unobservable @ found.unobservable.T, np.eye(free), atol=1e-9)
+    size = np.linalg.norm(found.information)
+    assert (np.linalg.matrix_rank(found.information, 1e-9 * size) if size else 0) == 6 - free
+    # Turns (ω × n = 0) and steps (n·τ = 0, about the origin) that change no true plane, after the motion.
+    turned = normals @ motion[:3, :3].T
+    slope = [np.vstack([np.hstack([np.cross(np.eye(3), n).T, np.zeros((3, 3))]) for n in turned])] if faced else []
+    offsets = [np.append(-np.cross(n, motion[:3, 3]), -n) for n in turned]
+    if free and faced:
+        null = np.linalg.svd(np.vstack([*slope, offsets]))[2][6 - free :]
+        cosines = np.linalg.svd(null @ found.unobservable.T, compute_uv=False)
+        assert np.degrees(np.arccos(np.clip(cosines.min(), -1.0, 1.0))) < 2.0
+    transform, of_transform = found
+    assert np.isnan(of_transform).all() == bool(free)
+    if not free:
+        np.testing.assert_allclose(transform, motion, atol=0.05)
+        np.testing.assert_allclose(of_transform @ found.information, np.eye(6), atol=1e-6)
+
+
+def test_planes_of_another_shape_are_refused(rng):
     planes, covariance = drawn_planes(rng, 3)
-    with pytest.raises(ValueError, match=message):
-        rp.uncertainty.align_planes(planes[chosen], covariance[chosen], planes[chosen], covariance[chosen])
+    with pytest.raises(ValueError, match=r"expected \(K, 4\) planes"):
+        rp.uncertainty.align_planes(planes[0], covariance[0], planes[0], covariance[0])
 
 
 def test_motions_need_normals_to_the_same_side(rng):
