@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 def odometry(parser: argparse.ArgumentParser) -> Run:
     """Tell how the camera moves through a data set or a recording.
 
-    example: rgbd-planes odometry rgbd_dataset_freiburg1_xyz --out trajectory.txt --figure path.png
+    example: rgbd-planes odometry rgbd_dataset_freiburg1_xyz --out path.txt
     """
     parser.add_argument("sequence", type=Path, help="data set, folder of depth images, or recording")
     add_sequence_options(parser)
