@@ -64,15 +64,14 @@ CHANCE = 11.34  # a chi-square of three degrees of freedom is larger in one case
 # One at a time around the default, for the cross-validation to choose from.
 SETTINGS = (
     Rules(),
-    *(Rules(region_floor=value) for value in (3.5, 4.0, 5.0, 6.0)),
-    *(Rules(region_jump=value) for value in (4.0, 8.0)),
-    *(Rules(reach=value) for value in (6.0, 7.0, 9.0, 10.0)),
-    *(Rules(close=value) for value in (2.0, 4.0)),
-    *(Rules(rough=value) for value in (2.5, 3.5)),
-    *(Rules(narrow=value) for value in (3.2, 3.8, 6.0)),
-    *(Rules(steep_block=value) for value in (0.4, 0.8)),
-    *(Rules(rough_block=value) for value in (2.5, 3.5)),
-    *(Rules(off=value) for value in (1.7, 2.2, 2.6, np.inf)),
+    *(Rules(bend_deviations=value) for value in (3.5, 4.0, 5.0, 6.0)),
+    *(Rules(jump_deviations=value) for value in (4.0, 8.0)),
+    *(Rules(reach_deviations=value) for value in (6.0, 7.0, 9.0, 10.0)),
+    *(Rules(fit_deviations=value) for value in (2.5, 2.75, 3.25, 3.5)),
+    *(Rules(joint_variances=value) for value in (20.0, 45.0)),
+    *(Rules(certain_share=value) for value in (0.05, 0.2)),
+    *(Rules(least_width=value) for value in (3.2, 3.8, 6.0)),
+    *(Rules(rim_deviations=value) for value in (1.7, 2.2, 2.6, np.inf)),
 )
 
 

@@ -29,8 +29,8 @@ def warmup(
 ) -> None:
     """Compile the kernels that fit tiles, or load them from the cache, so that the first frame is as fast as the next.
 
-    On a new installation this takes some seconds, once, and with ``segment`` a minute or two. In later processes it
-    takes a fraction of a second.
+    On a new installation this takes some seconds, once, and with ``segment`` half a minute or more, in up to four
+    processes. In later processes it takes a fraction of a second.
 
     Parameters
     ----------
@@ -80,8 +80,11 @@ def warmup(
 def _segment(cameras: Iterable[Camera], dtypes: Sequence[DType]) -> None:
     """Segment a scene that takes every code path, and frames of each dtype: only their first kernel differs."""
     from rgbd_planes.evaluation import scenes
+    from rgbd_planes.segmentation.compilation import compile_everything
     from rgbd_planes.segmentation.segment import segment
 
+    for dtype in dtypes:
+        compile_everything(np.dtype(dtype).str, any(camera.disparity is not None for camera in cameras))
     room = Camera(160, 120, 131.0, 131.0, 79.5, 59.5, depth_scale=1000.0)
     segment(scenes.room().render(room).measure(holes=0.05, patches=0.05), room)
     for camera in cameras:

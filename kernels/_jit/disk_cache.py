@@ -60,6 +60,10 @@ class CacheFiles:
                     return pickle.loads(data)
         return None
 
+    def holds(self, key: Any) -> bool:
+        """Whether there is something to load."""
+        return any((folder / self._name(key)).is_file() for folder in (self._folder, self._installed))
+
     def save(self, key: Any, compiled: Any) -> None:
         """Save, or replace, a compiled kernel."""
         path, data = self._folder / self._name(key), dumps(compiled)
@@ -163,6 +167,14 @@ class Cache(FunctionCache):
     def saves(self) -> bool:
         """Whether there is a place where compiled kernels can be saved."""
         return not isinstance(self._impl.locator, Installed)
+
+    def holds(self, types: Any) -> bool:
+        """Whether a kernel that was compiled for these types can be loaded."""
+        from numba.core.registry import cpu_target
+
+        with contextlib.suppress(AttributeError, OSError):  # a later Numba may differ inside
+            return bool(self._cache_file.holds(self._index_key(types, cpu_target.target_context.codegen())))
+        return False
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the compiled kernel for these types, or None."""

@@ -3,7 +3,7 @@
 import logging
 import threading
 import time
-from collections.abc import Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 
 from rgbd_planes.kernels._jit import compiler_pauses, kernel
@@ -14,6 +14,7 @@ SECONDS_BETWEEN_NOTICES = 20.0
 _logger = logging.getLogger("rgbd_planes")
 _compiled: set[Hashable] = set()
 _announced: dict[str, object] = {}
+_progress: list[list[float]] = []
 _NOTHING = nullcontext()
 
 
@@ -40,17 +41,36 @@ def _first_call(key: Hashable, takes: str) -> Iterator[None]:
 
 def _watch(done: threading.Event, takes: str) -> None:
     while not done.wait(SECONDS_BEFORE_NOTICE):
-        if compiler_pauses.is_compiling:
+        if compiler_pauses.is_compiling or _progress:
             if _announce(takes):
                 _report_until(done)
             return
 
 
+@contextmanager
+def counted(work: float) -> Iterator[Callable[[float], None]]:
+    """Say how much of the work is done: call what this gives for each piece of it."""
+    progress = [0.0, work]
+    _progress.append(progress)
+
+    def count(piece: float) -> None:
+        progress[0] += piece
+
+    try:
+        yield count
+    finally:
+        _progress.remove(progress)
+
+
 def _report_until(done: threading.Event) -> None:
     begin = time.monotonic()
     while not done.wait(SECONDS_BETWEEN_NOTICES):
-        if compiler_pauses.is_compiling:
-            seconds = time.monotonic() - begin  # the last kernel takes many of them
+        seconds = time.monotonic() - begin
+        if _progress:
+            finished, work = _progress[-1]
+            left = f", about {seconds * (work - finished) / finished:.0f} s are left" if finished else ""
+            _logger.warning(f"still compiling kernels: {finished / work:.0%} are done after {seconds:.0f} s{left}")
+        elif compiler_pauses.is_compiling:
             _logger.warning(f"still compiling kernels: {compiler_pauses.compiled} are done after {seconds:.0f} s")
 
 

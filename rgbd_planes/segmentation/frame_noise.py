@@ -90,7 +90,7 @@ def noise_of(
     ----------
     frame
     step_of_raw : float
-        See `depth.step_of`.
+        See `depth_frame.step_of`.
     rays, pyramid
     nearest : float
         Largest inverse depth of a surface of the frame, 1/m.
@@ -100,7 +100,7 @@ def noise_of(
     growth, sigma = np.empty(3), np.empty(ENTRIES + 1)
     told = find_noise(
         pyramid, nearest, _table(given, nearest), given.is_sensors, step_of_raw, frame.scale, frame.is_disparity,
-        reach_table(), growth, sigma,
+        correlation_table(), growth, sigma,
     )  # fmt: skip
     found = FrameNoise(*told)
     lateral = given.lateral or found.lateral
@@ -141,7 +141,7 @@ _ALONG = 4  # parts along the side of a square
 
 
 @functools.cache
-def reach_table() -> Floats:
+def correlation_table() -> Floats:
     """(2·SIZES + 1, K) float64: see `kernels.segmentation.correlation.mixture`."""
     of_sizes = [row for size in range(SIZES) for row in _scatter(BLOCK << (SMALLEST + size))]
     made = np.stack([*of_sizes, 2.0 * np.pi * _LENGTHS**2])

@@ -48,7 +48,7 @@ def find_regions(view: View, work: Workspace, least: int) -> tuple[Regions, int]
         Pairs of regions that touch, in ``work.contacts``.
     """
     seen = plain(view)
-    rounds, block, owners, moments = view.rules.trips, work.region, work.owners, work.region_moments
+    rounds, block, owners, moments = view.rules.rounds, work.region, work.owners, work.region_moments
     count = join_blocks(seen, block, owners.block, moments)
     parent, number = np.empty(count, np.int64), np.empty(count, np.int64)
     grow_together(block, moments[:count], plain(view.noise), plain(view.rules), parent)
@@ -63,10 +63,11 @@ def find_regions(view: View, work: Workspace, least: int) -> tuple[Regions, int]
         alpha = planes.alpha
         if turn == 1:  # earlier it would spread over what becomes a region of its own
             spread_out(seen, plain(regions), plain(planes))
-        shares = assign_pixels(
-            seen, plain(regions), plain(planes), work.last_region, last_alpha, plain(work.contended)
+        new = work.shares[turn % 2]
+        many = assign_pixels(
+            seen, plain(regions), plain(planes), work.last_region, last_alpha, plain(work.contended), plain(new)
         )  # fmt: skip
-        regions = regions._replace(shares=Shares(*shares))
+        regions = regions._replace(shares=Shares(new.region[:many], new.pixels[:many], new.moments[:many]))
         if turn < rounds - 1:
             move_on(seen, block, work.last_region, alpha)
     return regions, touching

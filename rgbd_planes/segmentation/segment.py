@@ -26,12 +26,13 @@ from rgbd_planes.kernels.segmentation.curved.curved import find_curved
 from rgbd_planes.kernels.segmentation.evidence.evidence import renumber_labels, weigh_planes
 from rgbd_planes.kernels.segmentation.model.planes import describe_planes
 from rgbd_planes.kernels.segmentation.model.records import Found, Labels, Rays, Reasons, Regions, Rules, View, plain
-from rgbd_planes.kernels.segmentation.noise.correlation import as_planes_show
+from rgbd_planes.kernels.segmentation.noise.correlation import shared_by_planes
 from rgbd_planes.kernels.segmentation.noise.estimate import nearest_surface
 from rgbd_planes.kernels.segmentation.noise.frame_noise import FLATNESS
-from rgbd_planes.kernels.segmentation.refit.interior import fit_inside
+from rgbd_planes.kernels.segmentation.refit.interior import fit_interior
 from rgbd_planes.noise.model import NoiseModel, check_not_a_maker
 from rgbd_planes.noise.sigma import LARGEST_NOISE
+from rgbd_planes.segmentation.compilation import compile_for
 from rgbd_planes.segmentation.frame_noise import Given, noise_of
 from rgbd_planes.segmentation.regions import find_regions, fitted
 from rgbd_planes.segmentation.result import Segmentation
@@ -141,7 +142,8 @@ def segment_frame(
     frame: DepthFrame, camera: Camera, given: Given, min_size: int, rules: Rules = _RULES
 ) -> Segmentation:
     """`segment` of a frame that is checked, by rules that may be others."""
-    with announced(("segment", frame.raw.dtype), "a minute or two"), workspaces.lent(camera) as work:
+    with announced(("segment", frame.raw.dtype), "half a minute or more"), workspaces.lent(camera) as work:
+        compile_for(frame)
         return _segment(frame, camera, given, min_size, rules, rays_of(camera._lens), work)
 
 
@@ -153,7 +155,7 @@ def _segment(
     nearest = nearest_surface(pyramid, read_frame(*frame.values, rays, inverse_depth, pyramid))
     step_of_raw = step_of(frame)
     noise, about_noise = noise_of(frame, step_of_raw, rays, pyramid, nearest, given)
-    view = View(inverse_depth, rays, pyramid, noise, rules.tolerating(about_noise.tolerance), work.sensor)
+    view = View(inverse_depth, rays, pyramid, noise, rules._replace(tolerance=about_noise.tolerance), work.sensor)
     regions, touching = find_regions(view, work, min(min_size, MIN_SIZE))
     curved, deviation = np.empty(len(regions.moments), np.bool_), np.empty(len(regions.moments))
     of_regions = plain(fitted(regions, view))
@@ -163,7 +165,7 @@ def _segment(
     found, evidence = _keep_evident(view, labels, found)
     together = noise.together
     if given.is_sensors and together > 1.0:
-        together = as_planes_show(together, pyramid, labels.label, inverse_depth)
+        together = shared_by_planes(together, pyramid, labels.label, inverse_depth)
     count = len(found.moments)
     planes, alpha, covariance = np.empty((count, 4)), np.empty((count, 3)), np.empty((count, 3, 3))
     rmse, sizes = np.empty(count), np.empty(count, np.int32)
@@ -214,7 +216,7 @@ def _find_planes(
     found = found.first(leave_out(len(found.moments), min_size, _REASONS.small, runs, plain(found)), parts)
     loose = write_labels(view.inverse_depth, runs, plain(found), plain(_REASONS), loose, its)
     release_rims(seen, plain(regions.shares), runs, plain(found), loose, min_size, _REASONS.unclaimed, its)
-    fit_inside(seen, its, _REASONS.missing, plain(found))
+    fit_interior(seen, its, _REASONS.missing, plain(found))
     settle_strays(view.inverse_depth, runs, plain(found), loose, _REASONS.unclaimed, min_size, its)
     return found
 

@@ -21,6 +21,7 @@ from rgbd_planes.kernels.segmentation.model.records import (
     Pyramid,
     Rays,
     Runs,
+    Shares,
 )
 
 LEVELS = 4  # blocks, and squares of 2, 4 and 8 blocks
@@ -84,6 +85,8 @@ class Workspace:
         self.sensor = np.empty(blocks)
         self.region, self.last_region = np.empty((2, *self.blocks), np.int32)
         self.region_moments = np.empty((blocks, 10))
+        most = NEIGHBOURS * blocks  # of which hardly a tenth is ever touched
+        self.shares = [Shares(np.empty(most, np.int32), np.empty(most, np.int32), np.empty((most, 10))) for _ in "ab"]
         self.contacts = Contacts(
             np.empty((4 * blocks + 1, 3), np.int32),
             np.empty((4 * blocks, 3)),

@@ -495,12 +495,12 @@ def test_settings_are_chosen_on_other_frames_than_they_are_scored_on(monkeypatch
     camera = rp.Camera(8, 8, 8.0, 8.0, 3.5, 3.5, depth_scale=1000.0)
     frame = segmentation.Frame("a", np.ones((8, 8), np.uint16), camera, np.ones((8, 8), np.int32))
     frames = [dataclasses.replace(frame, name=str(i)) for i in range(8)]
-    settings = [segmentation.Rules(region_floor=float(i)) for i in range(9)]
+    settings = [segmentation.Rules(bend_deviations=float(i)) for i in range(9)]
     monkeypatch.setattr(segmentation, "SETTINGS", settings)
     monkeypatch.setattr(segmentation, "PARTITIONS", 20)
 
     def by_rules(of, rules):
-        own, for_all = float(of.name) == rules.region_floor, rules.region_floor == 8.0
+        own, for_all = float(of.name) == rules.bend_deviations, rules.bend_deviations == 8.0
         return scores(10, 10.0 if own else 6.0 if for_all else 0.0)
 
     monkeypatch.setattr(segmentation, "_by_rules", by_rules)

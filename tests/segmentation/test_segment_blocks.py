@@ -28,7 +28,7 @@ from rgbd_planes.kernels.segmentation.model.records import (
     Runs,
     Shares,
 )
-from rgbd_planes.kernels.segmentation.refit.interior import inside_moments
+from rgbd_planes.kernels.segmentation.refit.interior import interior_moments
 from rgbd_planes.segmentation.frame_noise import noise_of
 from rgbd_planes.segmentation.segment import _given
 from rgbd_planes.segmentation.workspace import Workspace, rays_of
@@ -48,7 +48,7 @@ def test_four_squares_are_one_plane_if_joining_them_adds_little(holes):
     q = moments[3] / np.maximum(n, 1.0)
     variance = np.interp(q, noise.sigma[0] * np.arange(len(entries)), entries) ** 2
     lateral = noise.lateral_variance * slope_square
-    allowed = (n - 3.0) * (rules.rough_block**2 * variance + rules.steep_block**2 * lateral)
+    allowed = (n - 3.0) * (rules.fit_deviations**2 * variance + rules.steep_share**2 * lateral)
     expected = np.where((n < 6.0) | (rss < 0.0), 2, rss <= allowed)
     of_square = variance + lateral
     for level in range(1, len(shapes)):
@@ -63,7 +63,7 @@ def test_four_squares_are_one_plane_if_joining_them_adds_little(holes):
             elif len(planar) == 0:
                 expected[k] = 2
             else:
-                most = of_square[planar].min() * (rules.square_floor**2 * n[k] + rules.square_spread)
+                most = of_square[planar].min() * (n[k] + rules.joint_variances)
                 expected[k] = rss[k] >= 0.0 and rss[k] - rss[planar].sum() <= most
     assert sensor == pytest.approx(variance[: offsets[1]])
     assert (state == expected).all()
@@ -146,7 +146,7 @@ def test_pixels_inside_are_those_whose_neighbours_are_alike(height, width, seed,
     missing, unclaimed = np.uint8(1), np.uint8(2)
     reason = np.where(q > 0.0, np.where(labels > 0, 0, unclaimed), missing).astype(np.uint8)
     rays = Rays(u, v, u, v, 0.0, 0.0, np.empty((2, 0)), np.ones(1))
-    inside_moments(labels, reason, missing, q, rays, everything, found)
+    interior_moments(labels, reason, missing, q, rays, everything, found)
     surely = inside(labels, q > 0.0)
     for label, all_of_it, row in zip((1, 2, 3), everything, found, strict=True):
         own = surely & (labels == label)

@@ -10,7 +10,7 @@ from rgbd_planes.kernels.segmentation.curved.creases import STRIPS, main_bend, t
 from rgbd_planes.kernels.segmentation.curved.curved import find_turns
 from rgbd_planes.kernels.segmentation.model.boxes import boxes
 from rgbd_planes.kernels.segmentation.model.planes import fit_regions
-from rgbd_planes.kernels.segmentation.model.quadrics import step_of
+from rgbd_planes.kernels.segmentation.model.quadrics import sampling_step
 from rgbd_planes.kernels.segmentation.model.records import Noise, Planes, Rules
 
 CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5, depth_scale=5000.0)
@@ -55,7 +55,7 @@ def test_two_planes_are_those_that_fit_best_on_both_sides_of_a_line(shape, rng):
     along = np.cos(angle), np.sin(angle)
 
     own = np.zeros(shape, bool)
-    own[box[0, 0] : box[0, 1] : step_of(box[0]), box[0, 2] : box[0, 3] : step_of(box[0])] = True
+    own[box[0, 0] : box[0, 1] : sampling_step(box[0]), box[0, 2] : box[0, 3] : sampling_step(box[0])] = True
     own &= (region == 0) & (n > 0)
     weight, x, y, z = means[:, own].astype(np.float64)
     t = along[0] * x + along[1] * y
@@ -101,5 +101,5 @@ def test_two_halves_are_planes_if_they_are_flat(curvature, is_bent, rng):
     fit_regions(moments, noise, planes)
     turned, bending, bent = np.empty(1), np.empty(1), np.empty(1, np.bool_)
     find_turns(region, means, moments, planes, noise.sigma, Rules(), np.array([[0, 24, 0, 24]]), turned, bending, bent)
-    assert np.degrees(np.sqrt(turned[0])) > Rules().sharp
+    assert np.degrees(np.sqrt(turned[0])) > Rules().curved_degrees
     assert bent[0] == is_bent

@@ -9,8 +9,8 @@ from rgbd_planes import Camera, segment
 from rgbd_planes._core.status import Reason
 from rgbd_planes.evaluation.metrics import compare_labels
 from rgbd_planes.kernels.segmentation.curved.curved import continues
-from rgbd_planes.kernels.segmentation.curved.facets import AWAY, STRAIGHT, TOWARDS, bend_of
-from rgbd_planes.kernels.segmentation.model.quadrics import room_for_blocks, turn_of_groups
+from rgbd_planes.kernels.segmentation.curved.facets import AWAY, STRAIGHT, TOWARDS, bend_between
+from rgbd_planes.kernels.segmentation.model.quadrics import block_buffer, group_turns
 from rgbd_planes.kernels.segmentation.model.records import Planes
 from rgbd_planes.segmentation.workspace import rays_of
 
@@ -171,7 +171,7 @@ def test_two_planes_are_bent_away_from_the_camera_or_towards_it(degrees):
         """Whose inverse depth falls by ``slope`` on either side."""
         alpha = np.array([0.0, 0.0, 1.0]) - slope * np.array([across, -across])
         alpha[1, 2] += gap
-        return bend_of(0, 1, moments[0], moments[1], touching, alpha, rays, blunt)
+        return bend_between(0, 1, moments[0], moments[1], touching, alpha, rays, blunt)
 
     assert bent(0.1) == AWAY
     assert bent(-0.1) == TOWARDS
@@ -185,7 +185,7 @@ def test_the_normals_of_a_group_turn_between_its_regions_and_within_them(rng):
     weight, turned = rng.uniform(1.0, 5.0, (2, 6))
     turn_square, total, members = np.empty(6), np.empty(6), np.empty(6, np.int64)
     alpha[4] = np.inf
-    turn_of_groups(parent, weight, alpha, turned, turn_square, total, members)
+    group_turns(parent, weight, alpha, turned, turn_square, total, members)
     for root, group in ((0, [0, 1, 5]), (2, [2, 3])):
         normals = alpha[group] / np.linalg.norm(alpha[group], axis=1, keepdims=True)
         mean = np.average(normals, axis=0, weights=weight[group])
@@ -218,7 +218,7 @@ def test_a_neighbour_of_which_nothing_is_looked_at_says_nothing():
     box = np.array([[0, 32, 0, 32]] * 2)
     sigma = np.array([1.0, 1e-3, 1e-3])
     planes = Planes(np.zeros((2, 3)), np.zeros(2), np.ones(2), np.ones(2), np.ones(1))
-    found = continues(region, means, 0, 1, moments, planes, sigma, box, room_for_blocks())
+    found = continues(region, means, 0, 1, moments, planes, sigma, box, block_buffer())
     assert found == (-1.0, 0.0, 0.0)
 
 
@@ -235,7 +235,7 @@ def test_a_neighbour_is_looked_at_as_far_away_as_a_region_is_wide(lying):
     moments = 16.0 * np.array([[40.0], [1024.0 - 40.0]]) * [1.0, 0.0, 0.0, 1.0, 0.1, 0.0, 0.0, 0.1, 0.0, 1.0]
     planes = Planes(np.zeros((2, 3)), np.zeros(2), np.ones(2), np.ones(2), np.ones(1))
     sigma = np.array([10.0, *[1e-3] * 3])
-    _, _, covered = continues(region, means, 0, 1, moments, planes, sigma, box, room_for_blocks())
+    _, _, covered = continues(region, means, 0, 1, moments, planes, sigma, box, block_buffer())
     assert covered == pytest.approx((28 * 12 - 40) / (1024 - 40))
 
 
@@ -247,7 +247,7 @@ def test_two_neighbours_are_compared_by_the_smaller_of_their_variances(rng):
     moments = 2048.0 * np.array([[1.0, 0.0, 0.0, 1.0, 0.1, 0.0, 0.0, 0.1, 0.0, 1.0]] * 2)
     sigma = np.array([10.0, *[1e-3] * 3])
     planes = Planes(np.zeros((2, 3)), np.zeros(2), np.ones(2), np.ones(2), np.ones(1))
-    found, room = [], room_for_blocks()
+    found, room = [], block_buffer()
     for of_slope in ((0.0, 0.0), (1e-6, 0.0), (0.0, 1e-6), (1e-6, 1e-6)):
         sloping = planes._replace(slope_variance=np.array(of_slope))
         found.append(continues(region, means, 0, 1, moments, sloping, sigma, box, room)[:2])

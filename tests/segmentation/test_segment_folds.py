@@ -154,7 +154,7 @@ def test_a_part_is_ajar_only_if_noise_leaves_it_less(share, noise):
         np.array([(terms[i][some] * terms[j][some]).sum() for i, j in ORDER]) for some in (is_part, is_part | True)
     )
     off = np.sqrt(np.mean((rays[is_part] @ (of_part - of_rest)) ** 2))
-    sigma = np.append(10.0, np.full(3, off / (share * Rules().rough)))
+    sigma = np.append(10.0, np.full(3, off / (share * Rules().fit_deviations)))
     assert split_faces.is_ajar(part, of_part, whole, noise._replace(sigma=sigma), Rules()) == (share > 1.0)
 
 

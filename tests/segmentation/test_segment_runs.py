@@ -13,6 +13,7 @@ from rgbd_planes.kernels.segmentation.components.runs import (
     PIECES,
     beside,
     find_runs,
+    first_piece,
     how_many,
     in_squares,
     is_one_piece,
@@ -20,7 +21,6 @@ from rgbd_planes.kernels.segmentation.components.runs import (
     meet_at_corner,
     meet_down,
     meet_over_gap,
-    piece_of,
     spread_across,
     spread_down,
     starts_across,
@@ -150,11 +150,11 @@ def test_shares_fall_into_pieces(pixels, others):
     assert len(numbers) <= PIECES
     left = pixels
     for _ in numbers:
-        piece = pixels_of(piece_of(left, free))
+        piece = pixels_of(first_piece(left, free))
         number = expected[pixels_of(left)][0]
         # What another piece is reached over is not free for this one, so pieces that were taken do not matter.
         np.testing.assert_array_equal(piece, expected == number)
-        left &= ~piece_of(left, free)
+        left &= ~first_piece(left, free)
     assert left == 0
 
 

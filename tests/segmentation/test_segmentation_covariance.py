@@ -15,15 +15,15 @@ from rgbd_planes.kernels.segmentation.blocks.pyramid import read_frame
 from rgbd_planes.kernels.segmentation.noise.correlation import (
     OF_ONE,
     SIZES,
-    as_planes_show,
     is_in_one,
     may_be_chance,
     mixture,
+    shared_by_planes,
 )
 from rgbd_planes.kernels.segmentation.refit.weights import weigh_rays
 from rgbd_planes.kernels.statistics.tiles.block import EXPECTED
 from rgbd_planes.noise import NoiseModel
-from rgbd_planes.segmentation.frame_noise import reach_table
+from rgbd_planes.segmentation.frame_noise import correlation_table
 from rgbd_planes.segmentation.workspace import Workspace, rays_of
 
 
@@ -81,7 +81,7 @@ def test_covariance_of_partly_correlated_noise_is_honest(parts):
     assert 0.35 < np.mean(errors) < 1.6
 
 
-def test_reach_table_is_that_of_whole_covariances():
+def test_correlation_table_is_that_of_whole_covariances():
     side = 16
     y, x = np.indices((side, side)).reshape(2, -1)
     square = (y[:, None] - y) ** 2 + (x[:, None] - x) ** 2
@@ -89,7 +89,7 @@ def test_reach_table_is_that_of_whole_covariances():
     residual = np.eye(side * side) - design @ np.linalg.pinv(design)
     part = y // 4 * 4 + x // 4
     parts = (part == np.arange(16)[:, None]) / 4.0
-    table = reach_table()
+    table = correlation_table()
     for k in (0, 5, 20):
         together = table[-1, k]
         covariance = np.exp(-np.pi * square / together)
@@ -100,7 +100,7 @@ def test_reach_table_is_that_of_whole_covariances():
 
 @pytest.mark.parametrize("shares", [(0.0, 0.0), (0.4, 0.0), (0.0, 0.3), (0.5, 0.2), (1.0, 0.0)])
 def test_mixture_of_errors_is_found(shares):
-    table = reach_table()
+    table = correlation_table()
     counts = np.full(SIZES, 10_000)
     for k in (8, 15, 22):
         a, b = shares
@@ -111,7 +111,7 @@ def test_mixture_of_errors_is_found(shares):
 
 def test_shares_of_a_mixture_are_no_more_than_all(rng):
     """Also where ratios are those of no mixture: against all shares in steps of a hundredth."""
-    table = reach_table()
+    table = correlation_table()
     a, b = (shares.ravel() for shares in np.meshgrid(*[np.linspace(0.0, 1.0, 101)] * 2))
     a, b = a[a + b <= 1.0], b[a + b <= 1.0]
     for _ in range(20):
@@ -294,12 +294,12 @@ def test_squares_that_are_not_in_one_plane_show_no_shared_errors():
     one = np.ones(CAMERA.shape, np.int32)
     stripes = one + (np.arange(CAMERA.width, dtype=np.int32) // 4) % 2
     for label, expected in ((one, 3.0), (0 * one, 1.0), (stripes, 1.0)):
-        assert as_planes_show(3.0, True, work.pyramid, label, work.inverse_depth) == expected
-        assert as_planes_show(3.0, False, work.pyramid, label, work.inverse_depth) == 3.0  # nothing says otherwise
+        assert shared_by_planes(3.0, True, work.pyramid, label, work.inverse_depth) == expected
+        assert shared_by_planes(3.0, False, work.pyramid, label, work.inverse_depth) == 3.0  # nothing says otherwise
     one[np.random.default_rng(23).random(CAMERA.shape) < 0.3] = 0
-    assert as_planes_show(3.0, True, work.pyramid, one, work.inverse_depth) == 1.0
+    assert shared_by_planes(3.0, True, work.pyramid, one, work.inverse_depth) == 1.0
     work.inverse_depth[one == 0] = 0.0  # missing pixels are no edge
-    assert as_planes_show(3.0, True, work.pyramid, one, work.inverse_depth) == 3.0
+    assert shared_by_planes(3.0, True, work.pyramid, one, work.inverse_depth) == 3.0
 
 
 def test_plane_covariance_is_that_of_alpha_carried_over(room):

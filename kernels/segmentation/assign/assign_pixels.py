@@ -6,7 +6,6 @@ import numpy as np
 
 from ..._jit.kernel import kernel
 from ...common.arrays import copy
-from ...common.bit_marks import in_words, list_both
 from ..model.moments import misfit
 from ..model.pixel_noise import grown_variance
 from ..model.records import BLOCK, MIXED, Contended, Planes, Shares, as_regions, as_view, place
@@ -21,9 +20,8 @@ from .contested_blocks import (
     gather,
     is_undisputed,
     line_between,
-    regions_around,
+    ray_steps,
     share_out,
-    steps_of,
     weigh_contenders,
 )
 from .whole_blocks import (
@@ -41,15 +39,14 @@ from .whole_blocks import (
 
 
 @kernel()
-def assign_pixels(view, regions, planes, before, last_alpha, contended):
+def assign_pixels(view, regions, planes, before, last_alpha, contended, new):
     """Give each pixel to a region, or to none, and sum the moments of what each region owns.
 
     Parameters
     ----------
     view : View
-        A region contends for a pixel within ``reach`` standard deviations of its plane. Two planes meet where both
-        fit a pixel's neighbourhood within ``close``. A block without rivals goes whole to a region that fits it
-        within ``settled``.
+        A region contends for a pixel within ``reach_deviations`` of its plane. Two planes meet where both fit a
+        pixel's neighbourhood within ``fit_deviations``. A block without rivals goes whole to a region that fits it so.
     regions : Regions
         ``block`` becomes the region that owns most of its pixels, ``owners`` those of this round. ``moments`` are those
         of what regions had after the last round: what changes hands is taken out and put in. In the first round they
@@ -62,11 +59,13 @@ def assign_pixels(view, regions, planes, before, last_alpha, contended):
         ``planes.alpha`` in the last round; (0, 3) in the first.
     contended : Contended
         Room for as many blocks as there are, and NEIGHBOURS regions for each.
+    new : Shares, written
+        Those of this round, with room for as many.
 
     Returns
     -------
-    Shares
-        Of this round.
+    int
+        Their number.
     """
     view, regions = as_view(view), as_regions(regions)
     planes, contended = Planes(*planes), Contended(*contended)
@@ -74,30 +73,23 @@ def assign_pixels(view, regions, planes, before, last_alpha, contended):
     region, region_moments, number, owners, shares = regions
     sigma, is_first = noise.sigma, len(last_alpha) == 0
     rows, columns = region.shape
-    tasks = np.zeros(in_words(rows * columns), np.int8)  # DONE beyond the last block
-    task = tasks[: rows * columns].reshape(rows, columns)
+    task = np.empty((rows, columns), np.int8)
     look_around(region, owners.block, task)
     if not is_first:
         keep_unchanged(region, before, number, planes, last_alpha, sigma, rays, region_moments, owners.block, task)
     for row in range(rows):
         copy(region[row], before[row])
-    give_whole(pyramid, sensor, region, planes, rules.settled, task, owners)
-    # One place more than there are blocks: the one after the last is written to, too.
-    opened, same = np.empty(len(tasks) + 1, np.int32), np.empty(len(tasks) + 1, np.int32)
-    open_count, same_count = list_both(tasks, tasks.view(np.uint64), OPEN, opened, SAME, same)
-    opened = opened[:open_count]
+    give_whole(pyramid, sensor, region, planes, rules.fit_deviations, task, owners)
+    opened, same = list_blocks(task, OPEN), list_blocks(task, SAME)
+    open_count = len(opened)
     sparse, had = np.empty(open_count, np.int32), np.empty(open_count, np.int32)
     if not is_first:
         take_back(opened, number, owners, shares, region_moments, had)
-    sparse_count, count, listed = decide(
+    sparse_count, count, _ = decide(
         opened, rays, before, pyramid, sensor, planes, rules, region, owners, contended, sparse
     )
-    shares_of = owners.count.reshape(-1)
-    room = sparse_count + listed
-    for i in same[:same_count]:
-        room += shares_of[i]
-    new = Shares(np.empty(room, np.int32), np.empty(room, np.int32), np.empty((room, 10)))
-    put = kept = take_over(same[:same_count], number, owners, shares, new)
+    new = Shares(*new)
+    put = carried = take_over(same, number, owners, shares, new)
     put = share_sparse(sparse[:sparse_count], inverse_depth, pyramid, region, owners, new, put)
     put = contest(
         contended, count, inverse_depth, rays, before, pyramid, sensor, planes, rules, region, owners, new, put
@@ -106,8 +98,19 @@ def assign_pixels(view, regions, planes, before, last_alpha, contended):
         add_up(pyramid, owners, region_moments)
     else:
         hand_out(opened, had, pyramid, owners, region_moments)
-    add_shares(new, kept, put, region_moments)  # those of blocks that stay the SAME are in
-    return new
+    add_shares(new, carried, put, region_moments)  # those of blocks that stay the SAME are in
+    return put
+
+
+@kernel()
+def list_blocks(task, chosen):
+    """The blocks that have a task, row · C + column."""
+    tasks = task.reshape(-1)
+    listed, count = np.empty(len(tasks) + 1, np.int32), 0
+    for i in range(len(tasks)):  # without branches, which no processor could predict
+        listed[count] = i
+        count += tasks[i] == chosen
+    return listed[:count]
 
 
 @kernel(arrays=False)
@@ -166,29 +169,24 @@ def decide(blocks, rays, before, pyramid, sensor, planes, rules, region, owners,
         copy(before[row], around[row + 1, 1 : columns + 1])
     # Names for fields of tuples: see `kernels`.
     tan_x, tan_y, centre_u, centre_v = rays.tan_x, rays.tan_y, rays.centre_u, rays.centre_v
-    of_block, alpha, slope_variance = pyramid.moments, planes.alpha, planes.slope_variance
+    block_moments, alpha, slope_variance = pyramid.moments, planes.alpha, planes.slope_variance
     waviness_square, stretch = planes.waviness_square, planes.square_stretch
     owner = owners.block
     block, many, first, all_candidates, all_centres = contended
-    settled_square, reach = rules.settled * rules.settled, rules.reach
+    settled_square, reach = rules.fit_deviations * rules.fit_deviations, rules.reach_deviations
     # Of fixed sizes: see `kernels`.
-    near, directions = np.zeros((NEIGHBOURS, LANES), np.int32), np.empty((NEIGHBOURS, LANES), np.int32)
-    new, is_new = np.empty(LANES, np.int32), np.empty(LANES, np.int32)
     candidate, centre = np.empty(NEIGHBOURS, np.int64), np.empty((NEIGHBOURS, 3))
     sparse_count = count = listed = 0
     for k in range(len(blocks)):
         here = blocks[k]
         row, column = place(here, columns)
-        pixels = of_block[0, here]
-        n = k % LANES
-        if n == 0:
-            regions_around(blocks, k, around, near, directions, new, is_new)
-        contending = contenders(near, directions, new, n, row, column, centre_u, centre_v, candidate, centre)
+        pixels = block_moments[0, here]
+        contending = contenders(around, row, column, centre_u, centre_v, candidate, centre)
         a = candidate[0] if contending == 1 else np.int64(before[row, column])
         fits = False
         if a >= 0:
             total = grown_variance(sensor[here], slope_variance[a], stretch[here], waviness_square[a])
-            fits = misfit(of_block, here, alpha, a) <= settled_square * pixels * total
+            fits = misfit(block_moments, here, alpha, a) <= settled_square * pixels * total
             if fits and contending > 1:
                 distance = reach * math.sqrt(total)
                 fits = is_undisputed(a, contending, candidate, centre, alpha, tan_x, tan_y, row, column, distance)
@@ -216,7 +214,7 @@ def share_sparse(blocks, inverse_depth, pyramid, region, owners, shares, put):
     """
     height, width = inverse_depth.shape
     columns = region.shape[1]
-    of_block = pyramid.moments
+    block_moments = pyramid.moments
     owner, first, shares_of, measured = owners
     share_region, share_pixels, share_moments = shares
     for here in blocks:
@@ -227,7 +225,7 @@ def share_sparse(blocks, inverse_depth, pyramid, region, owners, shares, put):
                 mask |= np.int32(inverse_depth[y, x] > 0.0) << np.int32(y % BLOCK * BLOCK + x % BLOCK)
         share_region[put], share_pixels[put] = region[row, column], mask
         for k in range(10):
-            share_moments[put, k] = of_block[k, here]
+            share_moments[put, k] = block_moments[k, here]
         owner[row, column], measured[row, column] = MIXED, mask
         first[row, column], shares_of[row, column] = put, 1
         put += 1
@@ -243,13 +241,13 @@ def contest(contended, count, inverse_depth, rays, before, pyramid, sensor, plan
     columns = region.shape[1]
     # Names for fields of tuples: see `kernels`.
     tan_x, tan_y = rays.tan_x, rays.tan_y
-    of_block, alpha, slope_variance = pyramid.moments, planes.alpha, planes.slope_variance
+    block_moments, alpha, slope_variance = pyramid.moments, planes.alpha, planes.slope_variance
     waviness_square, stretch = planes.waviness_square, planes.square_stretch
     first_share, shares_of, measured = owners.first, owners.count, owners.measured
     share_region, share_pixels, share_moments = shares
     block, many, first, candidate, centre = contended
-    limit, close = np.float32(rules.reach * rules.reach), np.float32(rules.close * rules.close)
-    steps = steps_of(tan_x.shape[0] == 1 and tan_y.shape[1] == 1)
+    limit, close = np.float32(rules.reach_deviations**2), np.float32(rules.fit_deviations**2)
+    steps = ray_steps(tan_x.shape[0] == 1 and tan_y.shape[1] == 1)
     # Of fixed sizes: see `kernels`.
     space = np.empty((ROOM, LANES), np.float32)
     q, u, v = space[:AREA], space[AREA : 2 * AREA], space[2 * AREA : 3 * AREA]
@@ -300,7 +298,7 @@ def contest(contended, count, inverse_depth, rays, before, pyramid, sensor, plan
             for n in range(lanes):
                 c = group[g, start + n]
                 row, column = place(block[c], columns)
-                own, third = before[row, column], of_block[0, block[c]] / 3.0
+                current, third = before[row, column], block_moments[0, block[c]] / 3.0
                 measured[row, column], first_share[row, column] = pixels[NEIGHBOURS, n], put
                 largest, most_pixels, stays = -1, 2.0, False
                 for j in range(many[c]):
@@ -313,10 +311,10 @@ def contest(contended, count, inverse_depth, rays, before, pyramid, sensor, plan
                     put += 1
                     # A thin region may not own most of any block: a block stays with a region that owns a third of
                     # it.
-                    of_own = owned[10 * j, n]
-                    stays |= (a == own) & (of_own >= third) & (of_own > 2.0)
-                    if of_own > most_pixels:
-                        largest, most_pixels = a, of_own
+                    share_size = owned[10 * j, n]
+                    stays |= (a == current) & (share_size >= third) & (share_size > 2.0)
+                    if share_size > most_pixels:
+                        largest, most_pixels = a, share_size
                 shares_of[row, column] = put - first_share[row, column]
-                region[row, column] = own if stays else largest
+                region[row, column] = current if stays else largest
     return put

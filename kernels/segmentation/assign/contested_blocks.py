@@ -13,9 +13,8 @@ import math
 import numpy as np
 
 from ..._jit.kernel import kernel
-from ...common.bit_marks import how_many, lowest_bit
 from ..model.moments import difference
-from ..model.records import BLOCK, place
+from ..model.records import BLOCK
 
 NEIGHBOURS = 9  # blocks around a block, itself included, and so the regions that can contend for it
 PAIRS = NEIGHBOURS * (NEIGHBOURS - 1) // 2
@@ -23,14 +22,11 @@ SIDE = BLOCK + 2  # of a block with the pixels around it
 AREA = SIDE * SIDE
 LANES = 64  # blocks that are processed together
 ROOM = 4 * AREA + BLOCK * SIDE  # rows of ``space`` in `share_out`
-# For each of the 3x3 blocks around one: 1, and in further groups of four bits another 1 if it is to the left of the one
-# in the middle, to the right, above, and below.
-DIRECTIONS = np.array([0x1011, 0x1001, 0x1101, 0x11, 0x1, 0x101, 0x10011, 0x10001, 0x10101], np.int32)
 LOG_2 = np.float32(math.log(2.0))
 NOWHERE = np.float32(1e15)  # 1/m: inverse depth of a plane that no pixel is near
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def index_of(a, listed, count):
     """Index of a region in a list of ``count``, or ``count`` if it is not in it."""
     i = 0
@@ -39,86 +35,37 @@ def index_of(a, listed, count):
     return i
 
 
-@kernel(arrays=False)
-def regions_around(blocks, start, around, near, directions, new, is_new):
-    """The regions in the 3x3 blocks around each of LANES blocks, and in which of the nine each region is.
+@kernel(inline="compiled")
+def contenders(around, row, column, centre_u, centre_v, candidate, centre):
+    """The regions in the 3x3 blocks around one, and where their blocks lie; returns their number.
 
     Parameters
     ----------
-    blocks, start
-        Blocks, row · C + column; those from ``start`` on are meant, as many as there are.
     around : (R + 2, C + 2) int32
         Region of each block, with a rim of none, -1.
-    near : (NEIGHBOURS, LANES) int32, written
-        The regions of the nine blocks, row by row.
-    directions : (NEIGHBOURS, LANES) int32, written
-        For the first of the nine that a region has: the sum of DIRECTIONS over all that it has.
-    new : (LANES,) int32, written
-        Bit k is set if the k-th of the nine has a region that none of those before it has.
-    is_new
-        Room, as ``new``.
+    row, column : int
+    centre_u, centre_v
+        Those of `Rays`.
+    candidate : (NEIGHBOURS,) int64, written
+        The regions, in the order of their first blocks.
+    centre : (NEIGHBOURS, 3) float64, written
+        Sums of (u, v) of the centres of each one's blocks, and their number.
     """
-    columns = around.shape[1] - 2
-    for n in range(min(LANES, len(blocks) - start)):
-        row, column = place(blocks[start + n], columns)
-        for k in range(NEIGHBOURS):
-            near[k, n] = around[row + k // 3, column + k % 3]
-    for n in range(LANES):
-        new[n] = 0
-    for k in range(NEIGHBOURS):
-        of_k = DIRECTIONS[k]
-        for n in range(LANES):
-            directions[k, n] = of_k
-        for n in range(LANES):
-            is_new[n] = near[k, n] >= 0
-        for i in range(k):
-            for n in range(LANES):
-                is_same = near[i, n] == near[k, n]
-                directions[i, n] += of_k if is_same else np.int32(0)
-                is_new[n] = np.int32(0) if is_same else is_new[n]
-        for n in range(LANES):
-            new[n] |= is_new[n] << np.int32(k)
-
-
-@kernel(inline="compiled")
-def contenders(near, directions, new, n, row, column, centre_u, centre_v, candidate, centre):
-    """The regions in the 3x3 blocks around one, and where their blocks lie; returns their number.
-
-    ``near``, ``directions`` and ``new`` are those of `regions_around`, where the block has index ``n``. ``candidate``
-    (NEIGHBOURS,) int64 and ``centre`` (NEIGHBOURS, 3) are written, the latter, where there are several, with the sums
-    of (u, v) of the blocks' centres and the number of blocks.
-    """
-    bits = new[n]
-    count = how_many(bits)
-    if count == 1:
-        candidate[0] = near[lowest_bit(bits), n]
-    if count < 2:
-        return count
-    has_lens = centre_u.shape[0] > 1
-    last_row, last_column = centre_v.shape[0] - 1, centre_u.shape[1] - 1
-    left, right = max(column - 1, 0), min(column + 1, last_column)
-    above, below = max(row - 1, 0), min(row + 1, last_row)
-    u, u_left, u_right = centre_u[0, column], centre_u[0, left], centre_u[0, right]
-    v, v_above, v_below = centre_v[row, 0], centre_v[above, 0], centre_v[below, 0]
-    i = 0
-    while bits != 0:
-        k = lowest_bit(bits)
-        bits &= bits - np.int32(1)
-        candidate[i] = near[k, n]
-        where = directions[k, n]
-        blocks, on_left, on_right = where & 15, where >> 4 & 15, where >> 8 & 15
-        higher, lower = where >> 12 & 15, where >> 16
-        if has_lens:  # u differs from row to row, too, and v from column to column
-            centre[i, 0] = centre[i, 1] = 0.0
-            for j in range(NEIGHBOURS):
-                if near[j, n] == candidate[i]:
-                    centre[i, 0] += centre_u[row + j // 3 - 1, column + j % 3 - 1]
-                    centre[i, 1] += centre_v[row + j // 3 - 1, column + j % 3 - 1]
-        else:
-            centre[i, 0] = (blocks - on_left - on_right) * u + on_left * u_left + on_right * u_right
-            centre[i, 1] = (blocks - higher - lower) * v + higher * v_above + lower * v_below
-        centre[i, 2] = blocks
-        i += 1
+    u_row, v_column = np.int64(centre_u.shape[0] > 1), np.int64(centre_v.shape[1] > 1)
+    count = 0
+    for y in range(row, row + 3):
+        for x in range(column, column + 3):
+            a = around[y, x]
+            if a < 0:
+                continue
+            i = index_of(a, candidate, count)
+            if i == count:
+                candidate[i] = a
+                centre[i, 0] = centre[i, 1] = centre[i, 2] = 0.0
+                count += 1
+            centre[i, 0] += centre_u[(y - 1) * u_row, x - 1]
+            centre[i, 1] += centre_v[y - 1, (x - 1) * v_column]
+            centre[i, 2] += 1.0
     return count
 
 
@@ -131,10 +78,10 @@ def is_undisputed(a, count, candidate, centre, alpha, tan_x, tan_y, row, column,
     top, left = row * BLOCK, column * BLOCK
     bottom, right = min(top + BLOCK, tan_y.shape[0]) - 1, min(left + BLOCK, tan_x.shape[1]) - 1
     step_y, step_x = np.int64(tan_x.shape[0] > 1), np.int64(tan_y.shape[1] > 1)
-    own = index_of(a, candidate, count)
+    this = index_of(a, candidate, count)
     disputed = False
     for i in range(count):
-        if i == own:
+        if i == this:
             continue
         d_u, d_v, d_1 = difference(alpha, candidate[i], a)
         low, high = math.inf, -math.inf
@@ -142,7 +89,7 @@ def is_undisputed(a, count, candidate, centre, alpha, tan_x, tan_y, row, column,
             y, x = bottom if k > 1 else top, right if k % 2 else left
             d = d_u * tan_x[y * step_y, x] + d_v * tan_y[y, x * step_x] + d_1
             low, high = min(low, d), max(high, d)
-        side_a = d_u * centre[own, 0] + d_v * centre[own, 1] + d_1 * centre[own, 2]
+        side_a = d_u * centre[this, 0] + d_v * centre[this, 1] + d_1 * centre[this, 2]
         side_b = d_u * centre[i, 0] + d_v * centre[i, 1] + d_1 * centre[i, 2]
         beyond = (side_a * side_b < 0.0) & (low > 0.0 if side_a > 0.0 else high < 0.0)
         disputed |= not ((low > distance) | (high < -distance) | beyond)
@@ -160,7 +107,7 @@ def gather(inverse_depth, tan_x, tan_y, row, column, n, q, u, v):
     """Copy q, tanθx and tanθy of a block and its rim to lane ``n``; outside the image nothing is measured.
 
     ``q``, ``u`` and ``v`` (AREA, LANES) float32 are written; of tanθx only the first row, and of tanθy the first
-    column, where the others are the same: see `steps_of`.
+    column, where the others are the same: see `ray_steps`.
     """
     height, width = inverse_depth.shape
     separable = tan_x.shape[0] == 1 and tan_y.shape[1] == 1
@@ -187,14 +134,14 @@ def gather(inverse_depth, tan_x, tan_y, row, column, n, q, u, v):
 
 
 @kernel(inline=True)
-def steps_of(separable):
+def ray_steps(separable):
     """Rows from one row of a block to the next in an array of tanθx, and from a column to the next in one of tanθy."""
     return (0, 0) if separable else (SIDE, 1)
 
 
 @kernel(inline=True)
-def of_ray(i, j, steps):
-    """Where tanθx and tanθy of pixel (i, j) of a block with its rim are, by `steps_of`."""
+def ray_rows(i, j, steps):
+    """Where tanθx and tanθy of pixel (i, j) of a block with its rim are, by `ray_steps`."""
     return i * steps[0] + j, i * SIDE + j * steps[1]
 
 
@@ -223,7 +170,7 @@ def misfits(q, u, v, steps, plane, k, limit, square):
     over the standard deviation of each contender.
     """
     for p in range(AREA):
-        x, y = of_ray(p // SIDE, p % SIDE, steps)
+        x, y = ray_rows(p // SIDE, p % SIDE, steps)
         for n in range(LANES):
             e = q[p, n] - (plane[4 * k, n] * u[x, n] + plane[4 * k + 1, n] * v[y, n] + plane[4 * k + 2, n])
             e *= plane[4 * k + 3, n]
@@ -255,15 +202,15 @@ def contend(i, j, pair, q, u, v, steps, square, line, sums, penalty, limit, clos
     for y in range(BLOCK):
         for x in range(BLOCK):
             k, p = y * BLOCK + x, (y + 1) * SIDE + x + 1
-            of_u, of_v = of_ray(y + 1, x + 1, steps)
-            own, other = (i + 1) * BLOCK * BLOCK + k, (j + 1) * BLOCK * BLOCK + k
+            row_u, row_v = ray_rows(y + 1, x + 1, steps)
+            this, other = (i + 1) * BLOCK * BLOCK + k, (j + 1) * BLOCK * BLOCK + k
             for n in range(LANES):
                 within = (square[j * AREA + p, n] < limit) & (q[p, n] > 0.0)
                 a, b, c = line[3 * pair, n], line[3 * pair + 1, n], line[3 * pair + 2, n]
                 meet = (a != 0.0) | (b != 0.0) | (c != 0.0)
-                by_side = meet & (sums[own, n] < close * sums[k, n]) & (sums[other, n] < close * sums[k, n])
-                beyond = a * u[of_u, n] + b * v[of_v, n] + c > 0.0
-                cheaper = sums[other, n] + penalty[j, n] * sums[k, n] < sums[own, n] + penalty[i, n] * sums[k, n]
+                by_side = meet & (sums[this, n] < close * sums[k, n]) & (sums[other, n] < close * sums[k, n])
+                beyond = a * u[row_u, n] + b * v[row_v, n] + c > 0.0
+                cheaper = sums[other, n] + penalty[j, n] * sums[k, n] < sums[this, n] + penalty[i, n] * sums[k, n]
                 wins = (winner[k, n] == i) & within & ((by_side & beyond) | (cheaper & ~by_side))
                 winner[k, n] = j if wins else winner[k, n]
 
@@ -297,9 +244,9 @@ def sum_owned(k, winner, q, u, v, steps, owned, pixels):
             s_vv, s_vq, s_qq = owned[o + 7, n], owned[o + 8, n], owned[o + 9, n]
             for x in range(BLOCK):  # a row at a time: sums stay in the processor's registers, and loops vectorise
                 i, p = y * BLOCK + x, (y + 1) * SIDE + x + 1
-                of_u, of_v = of_ray(y + 1, x + 1, steps)
+                row_u, row_v = ray_rows(y + 1, x + 1, steps)
                 w = 1.0 if winner[i, n] == k else 0.0
-                u_p, v_p, q_p = np.float64(u[of_u, n]), np.float64(v[of_v, n]), np.float64(q[p, n])
+                u_p, v_p, q_p = np.float64(u[row_u, n]), np.float64(v[row_v, n]), np.float64(q[p, n])
                 w_u, w_v, w_q = w * u_p, w * v_p, w * q_p
                 s_n += w
                 s_u += w_u
@@ -363,11 +310,11 @@ def share_out(contending, space, steps, plane, penalty, line, limit, close, squa
     space : (ROOM, LANES) float32
         q, tanθx and tanθy of the blocks and their rims, AREA rows each; then room.
     steps
-        See `steps_of`.
+        See `ray_steps`.
     plane, penalty, line : (4·NEIGHBOURS, LANES), (NEIGHBOURS, LANES), (3·PAIRS, LANES) float32
         α and 1 over the standard deviation of each contender, the logarithm of its variance; `line_between` every two.
     limit, close : float32
-        Squares of what `assign_pixels.assign_pixels` calls ``reach`` and ``close``.
+        Squares of ``reach_deviations`` and ``fit_deviations``.
     square, sums, winner
         Room: see `misfits`, `sums_of_nine` and `contend`.
     owned, pixels : (10·NEIGHBOURS, LANES) float64 and (NEIGHBOURS + 1, LANES) int32, written

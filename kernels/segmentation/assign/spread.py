@@ -3,7 +3,6 @@
 import numpy as np
 
 from ..._jit.kernel import kernel
-from ...common.bit_marks import list_marked, room_for_marks
 from ..model.moments import misfit
 from ..model.pixel_noise import in_square
 from ..model.records import EMPTY, Planes, as_regions, as_view
@@ -21,26 +20,23 @@ def spread_out(view, regions, planes):
     `assign_pixels.assign_pixels`; ``regions.block`` is changed.
     """
     view, regions, planes = as_view(view), as_regions(regions), Planes(*planes)
-    pyramid, sensor, settled = view.pyramid, view.sensor, view.rules.settled
+    pyramid, sensor, settled = view.pyramid, view.sensor, view.rules.fit_deviations
     region, owner = regions.block, regions.owners.block
     moments, alpha = pyramid.moments, planes.alpha
     rows, columns = region.shape
     # Blocks to look at: at first all, and then the neighbours of those that have joined a region.
-    row_of, column_of = np.empty(4 * rows * columns, np.int32), np.empty(4 * rows * columns, np.int32)
-    next_row, next_column = np.empty_like(row_of), np.empty_like(row_of)
+    pair_row, column_of = np.empty(4 * rows * columns, np.int32), np.empty(4 * rows * columns, np.int32)
+    next_row, next_column = np.empty_like(pair_row), np.empty_like(pair_row)
     joins = np.empty(4 * rows * columns, np.int32)
-    marks, words, marked = room_for_marks(columns)
     count = 0
     for row in range(rows):
-        now, had = region[row], owner[row]
-        for c in range(columns):
-            marks[c] = (now[c] < 0) & (had[c] != EMPTY)
-        for i in range(list_marked(marks, words, True, marked)):
-            row_of[count], column_of[count] = row, marked[i]
-            count += 1
+        for column in range(columns):
+            if region[row, column] < 0 and owner[row, column] != EMPTY:
+                pair_row[count], column_of[count] = row, column
+                count += 1
     while count > 0:
         for k in range(count):
-            row, column = row_of[k], column_of[k]
+            row, column = pair_row[k], column_of[k]
             i = row * columns + column
             pixels = moments[0, i]
             best = settled * settled
@@ -56,7 +52,7 @@ def spread_out(view, regions, planes):
                     joins[k] = a
         joined = 0
         for k in range(count):
-            row, column = row_of[k], column_of[k]
+            row, column = pair_row[k], column_of[k]
             if joins[k] < 0 or region[row, column] >= 0:
                 continue
             region[row, column] = joins[k]
@@ -66,7 +62,7 @@ def spread_out(view, regions, planes):
                     continue
                 next_row[joined], next_column[joined] = r, c
                 joined += 1
-        row_of, next_row = next_row, row_of
+        pair_row, next_row = next_row, pair_row
         column_of, next_column = next_column, column_of
         count = joined
 
@@ -81,16 +77,13 @@ def move_on(view, region, before, alpha):
     moments = as_view(view).pyramid.moments
     rows, columns = region.shape
     moved, left = np.empty(rows * columns, np.int32), np.empty(rows * columns, np.int32)
-    marks, words, marked = room_for_marks(columns)
     count = 0
     for row in range(rows):
         now, was = region[row], before[row]
         for c in range(columns):
-            marks[c] = (now[c] != was[c]) & (now[c] >= 0) & (was[c] >= 0)
-        for i in range(list_marked(marks, words, True, marked)):
-            c = marked[i]
-            moved[count], left[count] = row * columns + c, was[c]
-            count += 1
+            if now[c] != was[c] and now[c] >= 0 and was[c] >= 0:
+                moved[count], left[count] = row * columns + c, was[c]
+                count += 1
     k = 0
     while k < count:
         here, a = moved[k], left[k]

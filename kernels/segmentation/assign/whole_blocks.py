@@ -10,8 +10,7 @@ import numpy as np
 
 from ..._jit.kernel import kernel
 from ...common.arrays import copy
-from ...common.bit_marks import in_words, list_marked, room_for_marks
-from ..model.moments import rows_of
+from ..model.moments import moment_rows
 from ..model.pixel_noise import about_plane, grown_variance, sensor_variance
 from ..model.records import BLOCK, EMPTY, MIXED
 
@@ -40,20 +39,20 @@ def look_around(region, owner, task):
     beside = np.full((3, width), -1, np.int32)  # three rows of blocks, the middle one among them
     most, lowest = np.empty(width, np.int32), np.empty(width, np.int32)
     for row in range(rows):
-        above, own, below = beside[(row + 2) % 3], beside[row % 3], beside[(row + 1) % 3]
+        above, regions_here, below = beside[(row + 2) % 3], beside[row % 3], beside[(row + 1) % 3]
         if row == 0:
-            copy(region[0], own[1 : columns + 1])
+            copy(region[0], regions_here[1 : columns + 1])
         if row + 1 < rows:
             copy(region[row + 1], below[1 : columns + 1])
         else:
             below[:] = -1
         for c in range(width):
-            a, b, d = above[c], own[c], below[c]
+            a, b, d = above[c], regions_here[c], below[c]
             most[c] = max(a, b, d)
             lowest[c] = min(a if a >= 0 else NO_REGION, b if b >= 0 else NO_REGION, d if d >= 0 else NO_REGION)
         line, owners = task[row], owner[row]
         for c in range(columns):
-            a = own[c + 1]
+            a = regions_here[c + 1]
             high = max(most[c], most[c + 1], most[c + 2])
             low = min(lowest[c], lowest[c + 1], lowest[c + 2])
             line[c] = DONE if owners[c] == EMPTY else ALONE if (high == a) & (low == a) else OPEN
@@ -94,27 +93,25 @@ def keep_unchanged(region, last_region, number, planes, last_alpha, sigma, rays,
         if is_still:
             still[b] = a
     changed = np.zeros((rows + 2, columns + 2), np.int8)  # with a rim
-    marks, words, marked = room_for_marks(columns)
     for row in range(rows):
-        own, last = region[row], last_region[row]
+        regions_here, last = region[row], last_region[row]
+        row_u, row_v = centre_u[row if has_lens else 0], centre_v[row]
         for c in range(columns):
-            marks[c] = own[c] != still[last[c] if last[c] >= 0 else regions]
-        of_u, of_v = centre_u[row if has_lens else 0], centre_v[row]
-        for i in range(list_marked(marks, words, True, marked)):
-            c = marked[i]
             b = last[c] if last[c] >= 0 else regions
-            d = moved[0, b] * of_u[c] + moved[1, b] * of_v[c if has_lens else 0] + moved[2, b]
-            changed[row + 1, c + 1] = OTHER if own[c] != became[b] else not abs(d) <= STILL
+            if regions_here[c] == still[b]:
+                continue
+            d = moved[0, b] * row_u[c] + moved[1, b] * row_v[c if has_lens else 0] + moved[2, b]
+            changed[row + 1, c + 1] = OTHER if regions_here[c] != became[b] else not abs(d) <= STILL
     nearby = np.empty(columns + 2, np.int8)
     for row in range(rows):
         above, here, below, line, owners = (changed[row], changed[row + 1], changed[row + 2], task[row], owner[row])
         for c in range(columns + 2):
             nearby[c] = above[c] | here[c] | below[c]
         for c in range(columns):
-            kept = SAME if owners[c] == MIXED else DONE
+            unchanged = SAME if owners[c] == MIXED else DONE
             changes_hands = (line[c] == ALONE) & ((here[c + 1] == OTHER) | (owners[c] == MIXED))
             again = OPEN if changes_hands else line[c]
-            line[c] = again if nearby[c] | nearby[c + 1] | nearby[c + 2] else kept
+            line[c] = again if nearby[c] | nearby[c + 1] | nearby[c + 2] else unchanged
 
 
 @kernel()
@@ -127,58 +124,56 @@ def give_whole(pyramid, sensor, region, planes, settled, task, owners):
     slope_variance, waviness_square = planes.slope_variance, planes.waviness_square
     rows, columns = region.shape
     allowed = settled * settled
-    # Where blocks that are ALONE begin and end in a row. All in between have one region: each has no other around it.
-    turns, words, ends = room_for_marks(columns + 1)
-    of_plane, limit = np.empty(columns), np.empty(columns)
+    square_sums, limit = np.empty(columns), np.empty(columns)
     for row in range(rows):
-        own, line, owner = region[row], task[row], owners.block[row]
+        regions_here, line, owner = region[row], task[row], owners.block[row]
         alone = 0
         for c in range(columns):
             alone += line[c] == ALONE
         if alone == 0:  # as in most of the last rounds
             for c in range(columns):
-                owner[c] = own[c] if (line[c] == DONE) & (owner[c] >= 0) else owner[c]
+                owner[c] = regions_here[c] if (line[c] == DONE) & (owner[c] >= 0) else owner[c]
             continue
         here = slice(row * columns, (row + 1) * columns)
-        n, s_u, s_v, s_q, s_uu = rows_of(moments, 0, here)
-        s_uv, s_uq, s_vv, s_vq, s_qq = rows_of(moments, 5, here)
-        of_sensor, stretched = sensor[here], stretch[here]
-        turns[0] = line[0] == ALONE
-        for c in range(1, columns):
-            turns[c] = (line[c] == ALONE) != (line[c - 1] == ALONE)
-        turns[columns] = line[columns - 1] == ALONE
-        for k in range(0, list_marked(turns, words, True, ends), 2):
-            start, stop = ends[k], ends[k + 1]
-            a = own[start]
+        n, s_u, s_v, s_q, s_uu = moment_rows(moments, 0, here)
+        s_uv, s_uq, s_vv, s_vq, s_qq = moment_rows(moments, 5, here)
+        sensor_here, stretched = sensor[here], stretch[here]
+        stop = 0
+        while stop < columns:
+            start = stop  # of blocks that are ALONE, which have one region if they are side by side
+            while stop < columns and line[stop] == ALONE:
+                stop += 1
+            if stop == start:
+                stop += 1
+                continue
+            a = regions_here[start]
             a_u, a_v, a_1 = alpha[a, 0], alpha[a, 1], alpha[a, 2]
-            of_slope, of_waves = slope_variance[a], waviness_square[a]
-            # Whole vectors, of which only what is ALONE counts.
-            for i in range(min(in_words(stop - start), columns - start)):
-                c = start + i
-                total = grown_variance(of_sensor[c], of_slope, stretched[c], of_waves)
+            slope, waves = slope_variance[a], waviness_square[a]
+            for c in range(start, stop):
+                total = grown_variance(sensor_here[c], slope, stretched[c], waves)
                 square = (
                     s_qq[c] - 2.0 * (a_u * s_uq[c] + a_v * s_vq[c] + a_1 * s_q[c])
                     + a_u * (a_u * s_uu[c] + 2.0 * (a_v * s_uv[c] + a_1 * s_u[c]))
                     + a_v * (a_v * s_vv[c] + 2.0 * a_1 * s_v[c])
                     + a_1 * a_1 * n[c]
                 )  # fmt: skip
-                of_plane[c] = square / total
+                square_sums[c] = square / total
                 limit[c] = allowed * n[c] if n[c] > SPARSE else -math.inf
         for c in range(columns):
-            fits = of_plane[c] <= limit[c]
+            fits = square_sums[c] <= limit[c]
             is_alone = line[c] == ALONE
             is_open = (line[c] == OPEN) | (is_alone & ~fits)
             is_whole = (is_alone & fits) | ((line[c] == DONE) & (owner[c] >= 0))
-            owner[c] = own[c] if is_whole else owner[c]
+            owner[c] = regions_here[c] if is_whole else owner[c]
             line[c] = OPEN if is_open else SAME if line[c] == SAME else DONE
 
 
-@kernel(inline=True)
-def add_square(of_squares, i, moments, a):
+@kernel(inline="compiled")
+def add_square(square_moments, i, moments, a):
     """Add the moments of square or block ``i`` to those of region ``a``; both arrays have one dimension."""
-    there, step = 10 * a, len(of_squares) // 10
+    there, step = 10 * a, len(square_moments) // 10
     for _ in range(10):
-        moments[there] += of_squares[i]
+        moments[there] += square_moments[i]
         i, there = i + step, there + 1
 
 
@@ -188,7 +183,7 @@ def add_up(pyramid, owners, region_moments):
 
     Of 4x4 blocks that one region has the pyramid knows the moments, and of 2x2.
     """
-    of_squares, offsets, shapes = pyramid.moments.reshape(-1), pyramid.offsets, pyramid.shapes
+    square_moments, offsets, shapes = pyramid.moments.reshape(-1), pyramid.offsets, pyramid.shapes
     owner, moments = owners.block, region_moments.reshape(-1)
     moments[:] = 0.0
     rows, columns = owner.shape
@@ -205,19 +200,19 @@ def add_up(pyramid, owners, region_moments):
             ):  # fmt: skip
                 if first >= 0:
                     i = offsets[2] + (row >> 2) * shapes[2, 1] + (column >> 2)
-                    add_square(of_squares, i, moments, first)
+                    add_square(square_moments, i, moments, first)
                 continue
             for y in range(row, row + 4, 2):
                 for x in range(column, column + 4, 2):
                     first = owner[y, x]
                     if (owner[y, x + 1] == first) & (owner[y + 1, x] == first) & (owner[y + 1, x + 1] == first):
                         if first >= 0:
-                            add_square(of_squares, offsets[1] + (y >> 1) * shapes[1, 1] + (x >> 1), moments, first)
+                            add_square(square_moments, offsets[1] + (y >> 1) * shapes[1, 1] + (x >> 1), moments, first)
                         continue
                     for r in range(y, y + 2):
                         for k in range(x, x + 2):
                             if owner[r, k] >= 0:
-                                add_square(of_squares, r * columns + k, moments, owner[r, k])
+                                add_square(square_moments, r * columns + k, moments, owner[r, k])
 
 
 @kernel(arrays=False)

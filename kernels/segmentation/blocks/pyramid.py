@@ -99,24 +99,24 @@ def add_separable(q, u, row_v, count, sums):
         n = s_u = s_v = s_q = s_uu = s_uv = s_uq = s_vv = s_vq = s_qq = 0.0
         for j in range(BLOCK):
             x = j * CHUNK + c
-            of_n = of_v = of_q = 0.0
+            n_column = v_column = q_column = 0.0
             for k in range(BLOCK):
                 p = np.float64(q[k, x])
                 valid = 1.0 if p > 0.0 else 0.0
                 v = valid * row_v[k]
-                of_n += valid
-                of_v += v
-                of_q += p
+                n_column += valid
+                v_column += v
+                q_column += p
                 s_vv += v * row_v[k]
                 s_vq += p * row_v[k]
                 s_qq += p * p
-            n += of_n
-            s_v += of_v
-            s_q += of_q
-            s_u += u[x] * of_n
-            s_uu += u[x] * u[x] * of_n
-            s_uv += u[x] * of_v
-            s_uq += u[x] * of_q
+            n += n_column
+            s_v += v_column
+            s_q += q_column
+            s_u += u[x] * n_column
+            s_uu += u[x] * u[x] * n_column
+            s_uv += u[x] * v_column
+            s_uq += u[x] * q_column
         sums[0, c], sums[1, c], sums[2, c], sums[3, c], sums[4, c] = n, s_u, s_v, s_q, s_uu
         sums[5, c], sums[6, c], sums[7, c], sums[8, c], sums[9, c] = s_uv, s_uq, s_vv, s_vq, s_qq
 
@@ -178,7 +178,7 @@ def read_frame(raw, lowest, highest, scale, offset, is_disparity, rays, inverse_
     sums = np.empty((10, CHUNK))
     separable = tan_x.shape[0] == 1 and tan_y.shape[1] == 1
     row_v = np.zeros(BLOCK)
-    of_columns, u_columns = np.zeros((BLOCK, CHUNK * BLOCK), np.float32), np.zeros(CHUNK * BLOCK)
+    column_q, u_columns = np.zeros((BLOCK, CHUNK * BLOCK), np.float32), np.zeros(CHUNK * BLOCK)
     nearest = np.int32(0)
     for row in range(rows):
         top, bottom = row * BLOCK, min(row * BLOCK + BLOCK, height)
@@ -211,8 +211,8 @@ def read_frame(raw, lowest, highest, scale, offset, is_disparity, rays, inverse_
                 copy(tan_x[0, left:right], u[0, : right - left])
                 apart(u[0], count, u_columns)
                 for k in range(BLOCK):
-                    apart(q[k], count, of_columns[k])
-                add_separable(of_columns, u_columns, row_v, count, sums)
+                    apart(q[k], count, column_q[k])
+                add_separable(column_q, u_columns, row_v, count, sums)
             else:
                 add_columns(q, u, v, count, along)
                 for k in range(10):

@@ -32,7 +32,7 @@ def join_blocks(view, region, owner, region_moments):
     return leaves(pyramid, state, region, owner, region_moments)
 
 
-@kernel(inline=True)
+@kernel()
 def find_planar(pyramid, noise, rules, sensor, state):
     """Find which blocks are planar, and which four planar neighbours are one plane.
 
@@ -41,9 +41,9 @@ def find_planar(pyramid, noise, rules, sensor, state):
     pyramid : Pyramid
     noise : Noise
     rules : Rules
-        A block is planar if its residual is below ``rough_block`` standard deviations, the slope's part of
-        which counts ``steep_block`` times (a block across a depth jump looks steep, too). Four are one plane if
-        joining them adds at most ``square_floor``² variances per pixel, plus ``square_spread``.
+        A block is planar if its residual is below ``fit_deviations`` of the sensor's noise, and ``steep_share`` of what
+        its slope adds: a block across a depth jump looks steep, too. Four are one plane if joining them adds at most
+        ``tolerance``² variances per pixel, plus ``joint_variances``.
     sensor : (R·C,) float64, written
         For each block: see `pixel_noise.sensor_variance`.
     state : (T,) int8, written
@@ -56,7 +56,7 @@ def find_planar(pyramid, noise, rules, sensor, state):
     variance = np.empty(len(rss))
     sensor_variances(pixels, sum_q, noise.sigma, variance)
     blocks = shapes[0, 0] * shapes[0, 1]
-    rough, steep = rules.rough_block**2, rules.steep_block**2 * lateral_variance
+    rough, steep = rules.fit_deviations**2, rules.steep_share**2 * lateral_variance
     for i in range(blocks):
         n = pixels[i]
         sensor[i] = variance[i]
@@ -64,7 +64,7 @@ def find_planar(pyramid, noise, rules, sensor, state):
         state[i] = 2 if (n < 6.0) | (rss[i] < 0.0) else planar
     for i in range(len(variance)):
         variance[i] += lateral_variance * slope_square[i]
-    floor, spread = rules.square_floor**2, rules.square_spread
+    floor, spread = rules.tolerance**2, rules.joint_variances
     for level in range(1, shapes.shape[0]):
         columns = shapes[level, 1]
         for row in range(shapes[level, 0]):
@@ -87,14 +87,19 @@ def join_squares(
         k = 2 * c
         one, two, three, four = upper_state[k], upper_state[k + 1], lower_state[k], lower_state[k + 1]
         rss_1, rss_2, rss_3, rss_4 = upper_rss[k], upper_rss[k + 1], lower_rss[k], lower_rss[k + 1]
-        of_1, of_2, of_3, of_4 = upper_variance[k], upper_variance[k + 1], lower_variance[k], lower_variance[k + 1]
+        variance_1, variance_2, variance_3, variance_4 = (
+            upper_variance[k],
+            upper_variance[k + 1],
+            lower_variance[k],
+            lower_variance[k + 1],
+        )
         total = (
             (rss_1 if one == 1 else 0.0) + (rss_2 if two == 1 else 0.0)
             + (rss_3 if three == 1 else 0.0) + (rss_4 if four == 1 else 0.0)
         )  # fmt: skip
         smallest = min(
-            min(of_1 if one == 1 else math.inf, of_2 if two == 1 else math.inf),
-            min(of_3 if three == 1 else math.inf, of_4 if four == 1 else math.inf),
+            min(variance_1 if one == 1 else math.inf, variance_2 if two == 1 else math.inf),
+            min(variance_3 if three == 1 else math.inf, variance_4 if four == 1 else math.inf),
         )
         planar = (one == 1) | (two == 1) | (three == 1) | (four == 1)
         rough = (one == 0) | (two == 0) | (three == 0) | (four == 0)
@@ -123,16 +128,16 @@ def leaves(pyramid, state, region, owner, region_moments):
             above = largest[offsets[level + 1] + (row >> 1) * shapes[level + 1, 1] :]
             for column in range(shapes[level, 1]):
                 i = first + column
-                own = i if state[i] == 1 else -1
-                largest[i] = above[column >> 1] if above[column >> 1] >= 0 else own
+                leaf = i if state[i] == 1 else -1
+                largest[i] = above[column >> 1] if above[column >> 1] >= 0 else leaf
     number = np.full(len(state), np.int32(-1))
     rows, columns = region.shape
     count = 0
     for row in range(rows):
         above = largest[offsets[1] + (row >> 1) * shapes[1, 1] :]
-        line, owners, of_row = region[row], owner[row], pixels[row * columns : (row + 1) * columns]
+        line, owners, row_pixels = region[row], owner[row], pixels[row * columns : (row + 1) * columns]
         for column in range(columns):
-            owners[column] = EMPTY if of_row[column] == 0.0 else UNSEEN
+            owners[column] = EMPTY if row_pixels[column] == 0.0 else UNSEEN
         for column in range(columns):
             block = row * columns + column
             if state[block] != 1:

@@ -6,7 +6,7 @@ from ..._jit.kernel import kernel
 from ...common.arrays import copy
 from ...common.bit_marks import how_many, lowest_bit
 from ...common.union_find import root_of
-from ..model.moments import add, ray_of, residual
+from ..model.moments import add, pixel_ray, residual
 from ..model.records import BLOCK, Found, Parts, Reasons, Runs, as_regions, as_view
 from .labels import label_runs
 from .runs import WHOLE, find_runs
@@ -19,11 +19,11 @@ def add_piece(pixels, row, column, inverse_depth, rays, moments, k):
         p = lowest_bit(pixels)
         pixels &= pixels - np.int32(1)
         y, x = row * BLOCK + p // BLOCK, column * BLOCK + p % BLOCK
-        u, v = ray_of(rays, y, x)
+        u, v = pixel_ray(rays, y, x)
         add(moments[k], u, v, inverse_depth[y, x])
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def first_of_run(start, stop, row, inverse_depth):
     """Row and column of the first measured pixel of whole blocks, which may have holes."""
     height, width = inverse_depth.shape
@@ -34,7 +34,7 @@ def first_of_run(start, stop, row, inverse_depth):
     return row * BLOCK, start * BLOCK
 
 
-@kernel(inline=True)
+@kernel()
 def measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, region_moments, parts):
     """Number the parts and share out what the regions own.
 
@@ -96,7 +96,7 @@ def measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, region_mom
         a = owner[k]
         if largest[a] < 0 or size[k] > size[largest[a]]:
             largest[a] = k
-    columns, of_block = owners.block.shape[1], pyramid.moments
+    columns, block_moments = owners.block.shape[1], pyramid.moments
     share_pixels, share_moments = shares.pixels, shares.moments
     for row in range(len(row_runs) - 1):
         for i in range(row_runs[row], row_runs[row + 1]):
@@ -107,7 +107,7 @@ def measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, region_mom
             if s == WHOLE:
                 for c in range(run_start[i], run_stop[i]):
                     for j in range(10):
-                        moments[k, j] += of_block[j, row * columns + c]
+                        moments[k, j] += block_moments[j, row * columns + c]
             elif run_pixels[i] == share_pixels[s]:
                 for j in range(10):
                     moments[k, j] += share_moments[s, j]
@@ -126,8 +126,8 @@ def measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, region_mom
     return count
 
 
-@kernel(inline=True)
-def judge_parts(parts, count, curved, deviation, rules, least, reasons, why, stray, number, kept):
+@kernel()
+def judge_parts(parts, count, curved, deviation, rules, least, reasons, why, stray, number, chosen):
     """Decide whether each part is a plane, and if not, why.
 
     Parameters
@@ -137,7 +137,7 @@ def judge_parts(parts, count, curved, deviation, rules, least, reasons, why, str
     curved, deviation : (N,) bool and float64
         For each region: see `rounds.find_regions`.
     rules : Rules
-        A plane's runs have at least ``narrow`` pixels on average, and its residual is at most ``shapeless`` deviations.
+        A plane's runs have at least ``least_width`` pixels on average, and its residual is at most ``fit_deviations``.
     least : int
         Pixels that a plane must have.
     reasons : Reasons
@@ -158,11 +158,11 @@ def judge_parts(parts, count, curved, deviation, rules, least, reasons, why, str
     planes = 0
     for k in range(count):
         why[k] = reasons.plane
-        if size[k] < rules.narrow * max(across[k], down[k]):
+        if size[k] < rules.least_width * max(across[k], down[k]):
             why[k] = reasons.narrow
         if curved[region[k]]:
             why[k] = reasons.curved
-        if residual(moments[k]) > (rules.shapeless * deviation[region[k]]) ** 2 * size[k]:
+        if residual(moments[k]) > (rules.fit_deviations * deviation[region[k]]) ** 2 * size[k]:
             why[k] = reasons.rough
         if size[k] < least:
             why[k] = reasons.small
@@ -170,13 +170,13 @@ def judge_parts(parts, count, curved, deviation, rules, least, reasons, why, str
         number[k] = 0
         if why[k] == reasons.plane:
             place = planes  # parts are nearly in the order of their first pixels
-            while place > 0 and first[kept[place - 1]] > first[k]:
-                kept[place] = kept[place - 1]
+            while place > 0 and first[chosen[place - 1]] > first[k]:
+                chosen[place] = chosen[place - 1]
                 place -= 1
-            kept[place] = k
+            chosen[place] = k
             planes += 1
     for place in range(planes):
-        number[kept[place]] = place + 1
+        number[chosen[place]] = place + 1
     return planes
 
 
@@ -215,12 +215,12 @@ def find_parts(view, regions, curved, deviation, least, reasons, runs, found):
         np.empty(run_count, np.int64), np.empty(run_count, np.int64), np.empty(run_count, np.int64),
     )  # fmt: skip
     count = measure_parts(runs, owners, shares, pyramid, inverse_depth, rays, region_moments[: len(curved)], parts)
-    kept = np.empty(count, np.int64)
+    chosen = np.empty(count, np.int64)
     planes = judge_parts(
-        parts, count, curved, deviation, rules, least, reasons, found.why, found.stray, found.number, kept
+        parts, count, curved, deviation, rules, least, reasons, found.why, found.stray, found.number, chosen
     )
     label_runs(runs, found.number)
     for i in range(planes):
-        copy(parts.moments[kept[i]], found.moments[i])
-        found.deviation[i] = deviation[parts.region[kept[i]]]
+        copy(parts.moments[chosen[i]], found.moments[i])
+        found.deviation[i] = deviation[parts.region[chosen[i]]]
     return planes, count, loose_count

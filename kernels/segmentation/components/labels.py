@@ -147,17 +147,17 @@ def is_lone(labels, inverse_depth, here, a):
     return same <= COMPANY and same <= others
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def label_around(a, b, c, d, e, f, g, h):
     """The label that at least FILLED of eight have, or 0."""
     found = np.int32(0)
     for k in range(4):  # FILLED are more than half of eight: they include one of the first four
-        own = a if k == 0 else b if k == 1 else c if k == 2 else d
+        candidate = a if k == 0 else b if k == 1 else c if k == 2 else d
         n = (
-            np.int32(a == own) + np.int32(b == own) + np.int32(c == own) + np.int32(d == own)
-            + np.int32(e == own) + np.int32(f == own) + np.int32(g == own) + np.int32(h == own)
+            np.int32(a == candidate) + np.int32(b == candidate) + np.int32(c == candidate) + np.int32(d == candidate)
+            + np.int32(e == candidate) + np.int32(f == candidate) + np.int32(g == candidate) + np.int32(h == candidate)
         )  # fmt: skip
-        found = own if n >= FILLED and own > 0 else found
+        found = candidate if n >= FILLED and candidate > 0 else found
     return found
 
 

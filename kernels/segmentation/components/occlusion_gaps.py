@@ -11,7 +11,7 @@ from ..._jit.kernel import kernel
 from ...common.arrays import copy
 from ...common.union_find import root_of, unite
 from ..model.boxes import overlap
-from ..model.moments import difference, ray_of, rise
+from ..model.moments import difference, pixel_ray, rise
 from ..model.planes import fit_planes
 from ..model.records import BLOCK, Found, Runs, as_view
 from .labels import label_runs
@@ -27,7 +27,7 @@ STOP = (0, 1, 2, 2, 3, 3, 3, 3, 4, 4, 4, 4, 4, 4, 4, 4)
 SEE_THROUGH_SHARE = 0.1  # share of the rows or columns that may be open
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def may_be_thin(box, a, b, down):
     """Whether a gap between labels a and b may be longer than wide, along the rows or, if ``down`` is 1, columns.
 
@@ -38,7 +38,7 @@ def may_be_thin(box, a, b, down):
     return widest >= LEAST and narrowest <= widest
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def are_coplanar(moments, deviation, a, b, floor, spread):
     """Whether planes a and b are one plane; the arguments are those of `find_coplanar`."""
     smaller = min(moments[a, 0], moments[b, 0])
@@ -46,7 +46,7 @@ def are_coplanar(moments, deviation, a, b, floor, spread):
     return rise(moments, a, b) <= variance * (floor * floor * smaller + spread)
 
 
-@kernel(inline=True)
+@kernel()
 def find_coplanar(moments, alpha, deviation, box, floor, spread, pairs):
     """Pairs of planes whose union is also one plane, and that are near enough for a thin gap.
 
@@ -89,7 +89,7 @@ def find_coplanar(moments, alpha, deviation, box, floor, spread, pairs):
     return count
 
 
-@kernel(inline=True)
+@kernel()
 def label_boxes(runs, box):
     """First row, row after the last, first column, column after the last of each label's blocks.
 
@@ -105,7 +105,7 @@ def label_boxes(runs, box):
             b[2], b[3] = min(b[2], run_start[i]), max(b[3], run_stop[i])
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def columns_in_row(k, y, runs, width):
     """First column of a run's pixels in row ``y``, and the one after the last: equal if it has none there."""
     if runs.share[k] == WHOLE:
@@ -114,7 +114,7 @@ def columns_in_row(k, y, runs, width):
     return runs.start[k] * BLOCK + FIRST[four], runs.start[k] * BLOCK + STOP[four]
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def rows_in_column(k, row, x, runs, height):
     """First row of a run's pixels in column ``x``, and the one after the last; the run is in row ``row`` of blocks."""
     if runs.share[k] == WHOLE:
@@ -126,10 +126,10 @@ def rows_in_column(k, row, x, runs, height):
     return row * BLOCK + FIRST[four], row * BLOCK + STOP[four]
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def sees_through(inverse_depth, rays, alpha, reach, y, x):
     """Whether something farther away than a plane is seen at a pixel."""
-    u, v = ray_of(rays, y, x)
+    u, v = pixel_ray(rays, y, x)
     return 0.0 < inverse_depth[y, x] < alpha[0] * u + alpha[1] * v + alpha[2] - reach
 
 
@@ -146,16 +146,16 @@ def gaps_across(runs, inverse_depth, rays, a, b, alpha, reach, box, look, gaps):
     most = 0
     for row in range(len(runs.first) - 1):
         most = max(most, runs.first[row + 1] - runs.first[row])
-    own = np.empty(most + 1, np.int32)  # the runs of a and b in a row of blocks
+    mine = np.empty(most + 1, np.int32)  # the runs of a and b in a row of blocks
     for row in range(max(box[a, 0], box[b, 0]), min(box[a, 1], box[b, 1])):
         count = 0
         for i in range(runs.first[row], runs.first[row + 1]):
-            own[count] = i
+            mine[count] = i
             count += (runs.label[i] == a) | (runs.label[i] == b)
         for y in range(row * BLOCK, min(row * BLOCK + BLOCK, height)):
             last, end = NO_RUN, 0  # the label of the last run, and where it ends
             for k in range(count):
-                i = own[k]
+                i = mine[k]
                 start, stop = columns_in_row(i, y, runs, width)
                 if start == stop:
                     continue
@@ -188,13 +188,13 @@ def gaps_down(runs, inverse_depth, rays, a, b, alpha, reach, box, look, gaps):
         for i in range(runs.first[row], runs.first[row + 1]):
             if runs.label[i] != a and runs.label[i] != b:
                 continue
-            own, other = (0, columns) if runs.label[i] == a else (columns, 0)
+            mine, other = (0, columns) if runs.label[i] == a else (columns, 0)
             for x in range(max(runs.start[i], first) * BLOCK, min(min(runs.stop[i], stop) * BLOCK, width)):
                 upper, lower = rows_in_column(i, row, x, runs, height)
                 if upper == lower:
                     continue
                 k = x - first * BLOCK
-                here, there = own + k, other + k
+                here, there = mine + k, other + k
                 if last[there] > last[here]:
                     through = False
                     for y in range(last[there], upper if look else 0):
@@ -223,7 +223,7 @@ def is_thin(gaps, opened, closed):
     return False
 
 
-@kernel(inline=True)
+@kernel()
 def join_across(runs, inverse_depth, rays, moments, alpha, deviation, box, floor, spread, pairs, count, parent):
     """Unite planes whose gaps are thin; ``parent`` (N,) int64 becomes the first plane that each is united with.
 
@@ -272,7 +272,7 @@ def join_across(runs, inverse_depth, rays, moments, alpha, deviation, box, floor
         parent[a] = parent[parent[a]]
 
 
-@kernel(inline=True)
+@kernel()
 def join_planes(parent, number, moments, deviation):
     """Make one plane of those that have the same parent; returns how many planes are left.
 
@@ -299,7 +299,7 @@ def join_across_gaps(view, runs, found):
     """Make one of the planes that something thin in front separates; returns how many planes are left.
 
     Joining two may raise the sum of squared residuals by floor² n + spread variances, n being the smaller one's
-    pixels, with half of ``region_floor``.
+    pixels, floor being half of ``bend_deviations``.
 
     Parameters
     ----------
@@ -311,7 +311,7 @@ def join_across_gaps(view, runs, found):
     """
     view, runs, found = as_view(view), Runs(*runs), Found(*found)
     inverse_depth, rays, _, _, rules, _ = view
-    floor, spread = 0.5 * rules.region_floor, rules.region_spread
+    floor, spread = 0.5 * rules.tolerance * rules.bend_deviations, rules.joint_variances
     number, moments, deviation = found.number, found.moments, found.deviation
     planes = len(moments)
     alpha, rss = np.empty((planes, 3)), np.empty(planes)

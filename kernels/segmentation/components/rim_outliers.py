@@ -8,7 +8,7 @@ import numpy as np
 
 from ..._jit.kernel import kernel
 from ...common.bit_marks import lowest_bit
-from ..model.moments import add, ray_of
+from ..model.moments import add, pixel_ray
 from ..model.pixel_noise import waviness
 from ..model.planes import fit_planes
 from ..model.records import BLOCK, Found, Runs, Shares, as_view, place
@@ -23,7 +23,7 @@ SEEN, LARGE, GOES = np.uint8(253), np.uint8(254), np.uint8(255)
 @kernel(inline="compiled")
 def is_off(inverse_depth, rays, y, x, alpha, k, far):
     """Whether a pixel's residual about plane ``k`` is more than ``far``, or less if that is negative."""
-    u, v = ray_of(rays, y, x)
+    u, v = pixel_ray(rays, y, x)
     residual = inverse_depth[y, x] - (alpha[k, 0] * u + alpha[k, 1] * v + alpha[k, 2])
     return residual > far if far > 0.0 else residual < far
 
@@ -89,7 +89,7 @@ def release_rims(view, shares, runs, found, loose_count, least, unclaimed, label
     Parameters
     ----------
     view : View
-        Pixels are off by ``off`` deviations, times the plane's waviness.
+        Pixels are off by ``rim_deviations``, times the plane's waviness.
     shares : Shares
     runs : Runs
     found : Found
@@ -108,13 +108,13 @@ def release_rims(view, shares, runs, found, loose_count, least, unclaimed, label
         found.deviation,
         found.loose[loose_count:],
         noise.growth,
-        rules.off,
+        rules.rim_deviations,
     )
     label, reason = label_reason
     width, labels, reasons = label.shape[1], label.reshape(-1), reason.reshape(-1)
     row_runs, run_start, run_share = runs.first, runs.start, runs.share
     run_label, run_pixels = runs.label, runs.pixels
-    of_shares = shares.moments
+    share_moments = shares.moments
     alpha, rss, gone = np.empty((len(moments), 3)), np.empty(len(moments)), np.zeros((len(moments), 10))
     fit_planes(moments, alpha, rss)
     limit = np.empty(len(moments))
@@ -126,10 +126,12 @@ def release_rims(view, shares, runs, found, loose_count, least, unclaimed, label
             k, s = run_label[i] - 1, run_share[i]
             if s == WHOLE or k < 0 or SHARE * moments[k, 0] < LEAST:
                 continue
-            total = of_shares[s, 3] - (
-                alpha[k, 0] * of_shares[s, 1] + alpha[k, 1] * of_shares[s, 2] + alpha[k, 2] * of_shares[s, 0]
+            total = share_moments[s, 3] - (
+                alpha[k, 0] * share_moments[s, 1]
+                + alpha[k, 1] * share_moments[s, 2]
+                + alpha[k, 2] * share_moments[s, 0]
             )
-            if abs(total) <= limit[k] * of_shares[s, 0]:
+            if abs(total) <= limit[k] * share_moments[s, 0]:
                 continue
             far = limit[k] if total > 0.0 else -limit[k]
             most = np.int64(min(SHARE * moments[k, 0], MOST))
@@ -147,7 +149,7 @@ def release_rims(view, shares, runs, found, loose_count, least, unclaimed, label
         k = labels[here] - 1
         if reasons[here] == GOES and moments[k, 0] - gone[k, 0] > least:
             y, x = place(here, width)
-            u, v = ray_of(rays, y, x)
+            u, v = pixel_ray(rays, y, x)
             add(gone[k], u, v, inverse_depth[y, x])
             labels[here], reasons[here] = 0, unclaimed
         else:

@@ -6,7 +6,7 @@ No pixel is read: the pixels of a share are one bit each, which also tells where
 import numpy as np
 
 from ..._jit.kernel import kernel
-from ...common.bit_marks import how_many, list_marked, lowest_bit, room_for_marks
+from ...common.bit_marks import how_many, lowest_bit
 from ...common.union_find import unite
 from ..model.records import BLOCK, MIXED
 
@@ -62,7 +62,7 @@ def beside(pixels):
 
 
 @kernel()
-def piece_of(pixels, free):
+def first_piece(pixels, free):
     """The connected piece with the share's first pixel; along a row or column, ``free`` pixels may lie between."""
     piece = pixels & -pixels
     grown = np.int32(0)
@@ -134,7 +134,7 @@ def meet_over_gap(one, free_one, other, free_other, across):
     return False
 
 
-@kernel(inline=True)
+@kernel()
 def list_runs(
     owner, first_share, shares_of, measured, share_region, share_pixels, number, top, height, width, count, start, stop,
     share, pixels, label, filled_x, filled_y, across, down, parent, at, many, taken, loose, loose_count,
@@ -182,7 +182,7 @@ def list_runs(
                     free = ALL & ~taken[left]
                     piece = left_over
                     if left_over != taken[left] and not is_one_piece(left_over, free):
-                        piece = piece_of(left_over, free)
+                        piece = first_piece(left_over, free)
                     left_over &= ~piece
                     i = count
                     start[i], stop[i], share[i], pixels[i], label[i] = (left, column, s, piece, a)
@@ -195,7 +195,7 @@ def list_runs(
                             continue
                         # Regions that have become one: together they have fewer runs than apart.
                         both = piece | pixels[k]
-                        if piece_of(both, free) == both:
+                        if first_piece(both, free) == both:
                             unite(parent, i, k)
                             x, y = filled_x[i] | filled_x[k], filled_y[i] | filled_y[k]
                             across[i] += starts_across(x) - starts_across(filled_x[k]) - starts_across(filled_x[i])
@@ -211,7 +211,7 @@ def list_runs(
     return count, loose_count
 
 
-@kernel(inline=True)
+@kernel()
 def find_runs(owners, shares, number, height, width, runs, loose):
     """Runs of equal labels along the rows of blocks, united into connected parts.
 
@@ -244,7 +244,6 @@ def find_runs(owners, shares, number, height, width, runs, loose):
     here, above = np.zeros(columns + 2, np.int32), np.zeros(columns + 2, np.int32)
     many_here, many_above = np.zeros(columns + 2, np.int32), np.zeros(columns + 2, np.int32)
     taken_here, taken_above = np.zeros(columns + 2, np.int32), np.zeros(columns + 2, np.int32)
-    changes, words, changed = room_for_marks(columns)
     count = loose_count = 0
     for row in range(rows):
         first[row] = count
@@ -260,22 +259,22 @@ def find_runs(owners, shares, number, height, width, runs, loose):
         here[columns + 1] = count
         # Where a block's runs and those above are the same as at the block before, there is nothing new.
         for c in range(columns):
-            changes[c] = (many_here[c + 1] > 0) & (
+            is_new = (many_here[c + 1] > 0) & (
                 (here[c] != here[c + 1]) | (many_here[c] != 1) | (many_here[c + 1] > 1)
                 | (above[c] != above[c + 1]) | (many_above[c] != many_above[c + 1])
                 | (above[c + 1] != above[c + 2]) | (many_above[c + 1] != many_above[c + 2]) | (many_above[c + 1] > 1)
             )  # fmt: skip
-        for i in range(list_marked(changes, words, True, changed)):
-            c = np.int64(changed[i])
+            if not is_new:
+                continue
             free = ALL & ~taken_here[c + 1]
             for k in range(here[c + 1], here[c + 1] + many_here[c + 1]):
-                a, own = label[k], pixels[k]
+                a, pixels_here = label[k], pixels[k]
                 if here[c] != here[c + 1]:
                     for j in range(here[c], here[c] + many_here[c]):
                         if label[j] != a:
                             continue
-                        if meet_across(pixels[j], own) != 0 or meet_over_gap(
-                            pixels[j], ALL & ~taken_here[c], own, free, True
+                        if meet_across(pixels[j], pixels_here) != 0 or meet_over_gap(
+                            pixels[j], ALL & ~taken_here[c], pixels_here, free, True
                         ):
                             unite(parent, j, k)
                             across[k] -= how_many((filled_x[j] >> BLOCK_ACROSS) & filled_x[k] & LEFT)
@@ -285,10 +284,10 @@ def find_runs(owners, shares, number, height, width, runs, loose):
                         continue
                     if stop[j] <= c or start[j] > c:
                         side = -1 if stop[j] <= c else 1
-                        if parent[j] != parent[k] and meet_at_corner(pixels[j], own, side) != 0:
+                        if parent[j] != parent[k] and meet_at_corner(pixels[j], pixels_here, side) != 0:
                             unite(parent, j, k)
-                    elif meet_down(pixels[j], own) != 0 or meet_over_gap(
-                        pixels[j], ALL & ~taken_above[c + 1], own, free, False
+                    elif meet_down(pixels[j], pixels_here) != 0 or meet_over_gap(
+                        pixels[j], ALL & ~taken_above[c + 1], pixels_here, free, False
                     ):
                         unite(parent, j, k)
                         if share[k] != WHOLE or share[j] != WHOLE:

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from ..._jit.kernel import kernel
-from ..model.quadrics import PLANE_TERMS, TERMS, add_products, eliminate, extent, step_of
+from ..model.quadrics import PLANE_TERMS, TERMS, add_products, eliminate, extent, sampling_step
 
 STRIPS = 12  # of the region, between which it may break
 
@@ -43,16 +43,16 @@ def two_planes(region, means, a, box, m, alpha, deviation, across):
     planes, quadrics : float
         Sums of squares that two planes leave, and, on both sides of the same line, two quadrics.
     """
-    centre, scale, step = (m[1] / m[0], m[2] / m[0]), extent(m), step_of(box[a])
-    of_n, of_u, of_v = means[0], means[1], means[2]
+    centre, scale, step = (m[1] / m[0], m[2] / m[0]), extent(m), sampling_step(box[a])
+    block_pixels, block_u, block_v = means[0], means[1], means[2]
     strips = np.zeros((STRIPS, TERMS + 1, TERMS + 1))
     low, high = math.inf, -math.inf
     for is_known in (False, True):  # how far the region extends
         for row in range(box[a, 0], box[a, 1], step):
             for column in range(box[a, 2], box[a, 3], step):
-                if region[row, column] != a or not of_n[row, column] > 0.0:
+                if region[row, column] != a or not block_pixels[row, column] > 0.0:
                     continue
-                t = across[0] * of_u[row, column] + across[1] * of_v[row, column]
+                t = across[0] * block_u[row, column] + across[1] * block_v[row, column]
                 if is_known:
                     k = min(int(STRIPS * (t - low) / (high - low)), STRIPS - 1)
                     add_products(means[:, row, column : column + 1], 1, alpha, deviation, centre, scale, strips[k])

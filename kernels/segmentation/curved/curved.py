@@ -21,15 +21,15 @@ from ..model.quadrics import (
     SURE,
     TERMS,
     add_blocks,
+    block_buffer,
     eliminate,
     extent,
+    group_turns,
     inner_pixels,
-    own_turn,
     owned_means,
-    room_for_blocks,
+    region_turn,
+    sampling_step,
     second_derivatives,
-    step_of,
-    turn_of_groups,
 )
 from ..model.records import Planes, as_regions, as_view
 from .creases import main_bend, two_planes
@@ -42,11 +42,13 @@ BENT_SHARE = 0.5 / math.sqrt(3.0)
 # Blocks across a region that it takes to tell its own shape, and to tell that it goes on beyond its edge.
 FEWEST_ACROSS = 3
 FEWEST_BESIDE = 2
+# Planes that meet at an angle of less than this times that of curved surfaces may be facets.
+FACETS_MEET = 2.5
 # Pixels over which a sensor does not bend planes yet, and what, root mean square, normals of planes turn by there.
 SMALL, SLIGHTLY = 1024, math.radians(2.0)
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def breadth(window):
     """Blocks along the shorter side."""
     return min(window[1] - window[0], window[3] - window[2])
@@ -54,14 +56,14 @@ def breadth(window):
 
 @kernel()
 def find_turns(region, means, region_moments, planes, sigma, rules, box, turned, bending, bent):
-    """How far the normals of each region turn within it, see `own_turn`, and whether sensors bend planes less.
+    """How far the normals of each region turn within it, see `region_turn`, and whether sensors bend planes less.
 
     What two planes, side by side, fit better than one quadric is not bent, if they are not bent themselves.
 
     ``turned`` and ``bending`` (N,) float64, and ``bent`` (N,) bool, are written.
     """
     alpha, slope_variance, waviness_square, stretch, _ = planes
-    room, products = room_for_blocks(), np.empty((TERMS + 1, TERMS + 1))
+    buffer, products = block_buffer(), np.empty((TERMS + 1, TERMS + 1))
     for a in range(len(turned)):
         turned[a] = bending[a] = 0.0
         bent[a] = False
@@ -70,18 +72,18 @@ def find_turns(region, means, region_moments, planes, sigma, rules, box, turned,
             continue
         variance = sensor_variance(m[3] / m[0], sigma) + slope_variance[a] * stretch[a]
         waves = waviness_square[a]
-        by, bending[a], gain, rest = own_turn(
-            region, means, a, box, m, alpha[a], variance, waves, rules, room, products
+        by, bending[a], gain, rest = region_turn(
+            region, means, a, box, m, alpha[a], variance, waves, rules, buffer, products
         )
         if breadth(box[a]) < FEWEST_ACROSS:
             continue
-        turned[a], bent[a] = by, gain > rules.bent * waves
-        if bent[a] and by > math.radians(rules.sharp) ** 2:
-            pixels, step, deviation = products[0, 0], step_of(box[a]), math.sqrt(variance)
+        turned[a], bent[a] = by, gain > rules.bent_variances * rules.tolerance**2 * waves
+        if bent[a] and by > math.radians(rules.curved_degrees) ** 2:
+            pixels, step, deviation = products[0, 0], sampling_step(box[a]), math.sqrt(variance)
             across = main_bend(second_derivatives(products, extent(m), deviation))
             two, quadrics = two_planes(region, means, a, box, m, alpha[a], deviation, across)
             two, quadrics = two / pixels, quadrics / pixels
-            sure = rules.region_spread * waves / (pixels * step * step)
+            sure = rules.joint_variances * waves / (pixels * step * step)
             better = rest - two
             is_broken = better > max(MARGIN * (gain + better), sure) and two - quadrics < better
             bent[a] = not is_broken
@@ -97,7 +99,7 @@ def find_curled(view, regions, box, planes, curved):
     inverse_depth, rays, _, noise, rules, _ = view
     region_moments = regions.moments
     alpha, slope_variance, waviness_square, stretch, _ = planes
-    room, products = room_for_blocks(), np.empty((TERMS + 1, TERMS + 1))
+    buffer, products = block_buffer(), np.empty((TERMS + 1, TERMS + 1))
     # Pixels as if they were blocks, one beside the other, of one region.
     pixels, region = np.empty((4, 1, SMALL), np.float32), np.zeros((1, SMALL), np.int32)
     row = np.array([[0, 1, 0, 0]])
@@ -107,17 +109,19 @@ def find_curled(view, regions, box, planes, curved):
             continue
         variance = sensor_variance(m[3] / m[0], noise.sigma) + slope_variance[a] * stretch[a]
         row[0, 3] = inner_pixels(regions, a, box, inverse_depth, rays, pixels[:, 0])
-        turned, _, gain, rest = own_turn(region, pixels, 0, row, m, alpha[a], variance, waves, rules, room, products)
+        turned, _, gain, rest = region_turn(
+            region, pixels, 0, row, m, alpha[a], variance, waves, rules, buffer, products
+        )
         is_sure = gain * m[0] > SURE * noise.together * waves
         curved[a] = is_sure and gain > rest and turned > SLIGHTLY**2
 
 
 @kernel()
-def continues(region, means, a, b, region_moments, planes, sigma, box, room):
+def continues(region, means, a, b, region_moments, planes, sigma, box, buffer):
     """Whether one quadric fits two neighbouring regions better than two planes do.
 
     ``a`` is the smaller one; ``b`` is looked at only as far from ``a`` as ``a`` is wide. ``room`` is that of
-    `quadrics.room_for_blocks`.
+    `quadrics.block_buffer`.
 
     Returns
     -------
@@ -137,23 +141,23 @@ def continues(region, means, a, b, region_moments, planes, sigma, box, room):
     deviation = math.sqrt(variance)
     centre = m[1] / m[0], m[2] / m[0]
     scale = extent(m)
-    step = step_of(box[a])
+    step = sampling_step(box[a])
     products = np.zeros((3, TERMS + 1, TERMS + 1))
-    of_a, of_b, joint = products[0], products[1], products[2]
-    pixels_a = add_blocks(region, means, a, box, alpha[a], deviation, window, step, centre, scale, room, of_a)
-    pixels_b = add_blocks(region, means, b, box, alpha[a], deviation, window, step, centre, scale, room, of_b)
+    products_a, products_b, joint = products[0], products[1], products[2]
+    pixels_a = add_blocks(region, means, a, box, alpha[a], deviation, window, step, centre, scale, buffer, products_a)
+    pixels_b = add_blocks(region, means, b, box, alpha[a], deviation, window, step, centre, scale, buffer, products_b)
     covered = pixels_b * step * step / region_moments[b, 0]
     if pixels_a == 0.0 or pixels_b == 0.0:
         return -1.0, 0.0, covered
     for i in range(TERMS + 1):
         for j in range(i, TERMS + 1):
-            joint[i, j] = of_a[i, j] + of_b[i, j]
-    two = eliminate(of_a, 0, PLANE_TERMS) + eliminate(of_b, 0, PLANE_TERMS)
+            joint[i, j] = products_a[i, j] + products_b[i, j]
+    two = eliminate(products_a, 0, PLANE_TERMS) + eliminate(products_b, 0, PLANE_TERMS)
     bend = (eliminate(joint, 0, PLANE_TERMS) - two) * step * step
     return (two - eliminate(joint, PLANE_TERMS, TERMS)) * step * step, bend, covered
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def turns_as_an_arc(bending, a, b, angle):
     """Whether two regions turn within themselves by enough of the angle between them: see BENT_SHARE."""
     return math.sqrt(bending[a]) + math.sqrt(bending[b]) > BENT_SHARE * angle
@@ -166,7 +170,7 @@ def unite_behind(region, rays, pyramid, means, region_moments, planes, sigma, ru
     ``parent`` (N,) and ``bent`` (N,) bool are changed; the other arguments are those of `find_curved` and `find_turns`.
     """
     alpha, regions = planes.alpha, len(parent)
-    where, room = np.empty(3), room_for_blocks()
+    where, buffer = np.empty(3), block_buffer()
     for a in range(regions):
         if region_moments[a, 0] < SMALL or breadth(box[a]) < FEWEST_ACROSS or not bending[a] > 0.0:
             continue
@@ -181,17 +185,17 @@ def unite_behind(region, rays, pyramid, means, region_moments, planes, sigma, ru
                 continue
             if root_of(parent, a) == root_of(parent, b):
                 continue
-            beyond = rules.close * math.sqrt(variance)
+            beyond = rules.fit_deviations * math.sqrt(variance)
             if not (
                 gap_between(region, rays, pyramid, alpha, a, b, box, 0, beyond, where)
                 or gap_between(region, rays, pyramid, alpha, a, b, box, 1, beyond, where)
             ):
                 continue
             jump = jump_at(alpha, a, b, where)
-            if not jump * jump < rules.reach * rules.reach * variance:
+            if not jump * jump < rules.reach_deviations * rules.reach_deviations * variance:
                 continue
-            better, bend, _ = continues(region, means, a, b, region_moments, planes, sigma, box, room)
-            if better > max(MARGIN * bend, rules.region_spread * planes.waviness_square[a]):
+            better, bend, _ = continues(region, means, a, b, region_moments, planes, sigma, box, buffer)
+            if better > max(MARGIN * bend, rules.joint_variances * planes.waviness_square[a]):
                 unite(parent, a, b)
                 bent[root_of(parent, a)] = True
 
@@ -200,9 +204,9 @@ def unite_behind(region, rays, pyramid, means, region_moments, planes, sigma, ru
 def find_curved(view, regions, planes, contacts, count, curved, deviation):
     """Mark the regions that are part of a curved surface.
 
-    Neighbours within ``reach`` deviations that one quadric fits better than two planes, by ``region_spread`` variances,
+    Neighbours within ``reach_deviations`` that one quadric fits better than two planes, by ``joint_variances``,
     and that turn within themselves as parts of an arc do, form groups; so do such regions on both sides of something
-    thin in front. A group is curved if its normals turn by more than ``sharp`` degrees, root mean square: if by less,
+    thin in front. A group is curved if its normals turn by more than ``curved_degrees``, root mean square: if by less,
     it is the sensor that bends a plane. Of small regions it is not: those with such a neighbour are curved if they turn
     by more than SLIGHTLY. Also curved are those of `find_curled`, the groups of `facets.find_faceted`, and smaller
     neighbours as which a curve goes on.
@@ -225,7 +229,10 @@ def find_curved(view, regions, planes, contacts, count, curved, deviation):
     pairs, where, _ = contacts
     # Errors that neighbours share bend a plane by chance: by their variance over squares of 32 pixels, as a multiple of
     # that over 8, and as many more times as there are fewer independent ones.
-    significant, sharp = rules.region_spread * noise.growth[len(noise.growth) - 1] ** 4, math.radians(rules.sharp)
+    significant, sharp = (
+        rules.joint_variances * noise.growth[len(noise.growth) - 1] ** 4,
+        math.radians(rules.curved_degrees),
+    )
     many = len(alpha)
     box = np.empty((many, 4), np.int64)
     boxes(region, box)
@@ -233,8 +240,8 @@ def find_curved(view, regions, planes, contacts, count, curved, deviation):
     turned, bending = np.empty(many), np.empty(many)
     bent, goes_on = np.empty(many, np.bool_), np.zeros(many, np.bool_)
     find_turns(region, means, region_moments, planes, sigma, rules, box, turned, bending, bent)
-    find_faceted(region_moments, alpha, turned, sharp, math.radians(rules.blunt), rays, contacts, count, curved)
-    parent, room = np.arange(many), room_for_blocks()
+    find_faceted(region_moments, alpha, turned, sharp, FACETS_MEET * sharp, rays, contacts, count, curved)
+    parent, buffer = np.arange(many), block_buffer()
     smooth = 0
     for i in range(count):
         a, b = np.int64(pairs[i, 0]), np.int64(pairs[i, 1])
@@ -243,9 +250,9 @@ def find_curved(view, regions, planes, contacts, count, curved, deviation):
         jump = jump_at(alpha, a, b, where[i])
         q = region_moments[a, 3] / region_moments[a, 0]
         variance = about_plane(sensor_variance(q, sigma), planes, a)
-        if not jump * jump < rules.reach * rules.reach * variance:
+        if not jump * jump < rules.reach_deviations * rules.reach_deviations * variance:
             continue
-        better, bend, covered = continues(region, means, a, b, region_moments, planes, sigma, box, room)
+        better, bend, covered = continues(region, means, a, b, region_moments, planes, sigma, box, buffer)
         if not better > -MARGIN * bend:
             continue
         pairs[smooth, 0], pairs[smooth, 1] = a, b
@@ -257,7 +264,7 @@ def find_curved(view, regions, planes, contacts, count, curved, deviation):
             bent[root_of(parent, a)] = goes_on[a] = goes_on[b] = True
     unite_behind(region, rays, pyramid, means, region_moments, planes, sigma, rules, box, bending, parent, bent)
     turn_square, pixels, members = np.empty(many), np.empty(many), np.empty(many, np.int64)
-    turn_of_groups(parent, region_moments[:, 0], alpha, turned, turn_square, pixels, members)
+    group_turns(parent, region_moments[:, 0], alpha, turned, turn_square, pixels, members)
     for a in range(many):
         root = root_of(parent, a)
         curved[a] |= bent[root] and turn_square[root] > sharp * sharp

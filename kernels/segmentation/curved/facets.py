@@ -9,7 +9,7 @@ import numpy as np
 from ..._jit.kernel import kernel
 from ...common.union_find import root_of, unite
 from ..model.moments import angle_between, difference, jump_at
-from ..model.quadrics import turn_of_groups
+from ..model.quadrics import group_turns
 from ..model.records import BLOCK
 
 STRAIGHT, AWAY, TOWARDS = 0, 1, 2
@@ -17,7 +17,7 @@ FACETS = 4  # planes that something round has at least: a ceiling between two sl
 
 
 @kernel(arrays=False)
-def bend_of(a, b, m_a, m_b, where, alpha, rays, blunt):
+def bend_between(a, b, m_a, m_b, where, alpha, rays, blunt):
     """How two regions that touch are bent against each other, if by less than ``blunt`` radians.
 
     AWAY from the camera, as facets of a ball are, or TOWARDS it; STRAIGHT if their planes do not meet within a block of
@@ -40,7 +40,7 @@ def find_faceted(region_moments, alpha, turned, sharp, blunt, rays, contacts, co
 
     Planes that meet at less than ``blunt`` radians and bend the same way form groups. A group is round if it has FACETS
     or more, none of which is half of it, and turns by more than ``sharp`` radians, root mean square.
-    ``turned`` is that of `turn_of_groups`, and the other arguments are those of `curved.find_curved`.
+    ``turned`` is that of `group_turns`, and the other arguments are those of `curved.find_curved`.
     """
     pairs, where, _ = contacts
     regions = len(alpha)
@@ -52,9 +52,9 @@ def find_faceted(region_moments, alpha, turned, sharp, blunt, rays, contacts, co
         parent = np.arange(regions)
         for i in range(count):
             a, b = pairs[i, 0], pairs[i, 1]
-            if way == bend_of(a, b, region_moments[a], region_moments[b], where[i], alpha, rays, blunt):
+            if way == bend_between(a, b, region_moments[a], region_moments[b], where[i], alpha, rays, blunt):
                 unite(parent, a, b)
-        turn_of_groups(parent, region_moments[:, 0], alpha, turned, turn_square, pixels, members)
+        group_turns(parent, region_moments[:, 0], alpha, turned, turn_square, pixels, members)
         largest[:] = 0.0
         for a in range(regions):
             root = root_of(parent, a)

@@ -12,11 +12,11 @@ from ..model.boxes import overlap
 def is_in_front(pyramid, i, alpha, beyond):
     """Whether a block lies before a plane, by more than ``beyond`` in inverse depth, or nothing of it is measured."""
     m = pyramid.moments
-    of_plane = alpha[0] * m[1, i] + alpha[1] * m[2, i] + alpha[2] * m[0, i]
-    return m[0, i] == 0.0 or m[3, i] - of_plane > beyond * m[0, i]
+    plane_sum = alpha[0] * m[1, i] + alpha[1] * m[2, i] + alpha[2] * m[0, i]
+    return m[0, i] == 0.0 or m[3, i] - plane_sum > beyond * m[0, i]
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def may_cross(box, a, b, down):
     """Whether half of the rows of the shorter region, or columns if ``down`` is 1, may cross a gap between two."""
     along, common = 2 * down, overlap(box, a, b, down)

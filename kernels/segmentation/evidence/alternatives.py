@@ -6,7 +6,7 @@ import numpy as np
 
 from ..._jit.kernel import kernel
 from ...common.bit_marks import list_marked, room_for_marks
-from ..model.moments import add, ray_of, residual, solve
+from ..model.moments import add, pixel_ray, residual, solve
 
 REACH = 4  # pixels around a plane that are its rim
 LINES = 2  # every how many rows and columns it is looked at
@@ -35,7 +35,7 @@ def look_outside(label, inverse_depth, rays, y, x, down, across, alpha, moments,
         b = label[y, x] - 1
         if b == a or not inverse_depth[y, x] > 0.0:
             continue
-        u, v = ray_of(rays, y, x)
+        u, v = pixel_ray(rays, y, x)
         add(rim[a], u, v, inverse_depth[y, x])
         if b >= 0 and b != last[a]:
             last[a] = b

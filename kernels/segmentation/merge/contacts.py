@@ -4,7 +4,6 @@ import numpy as np
 
 from ..._jit.kernel import kernel
 from ...common.arrays import copy
-from ...common.bit_marks import in_words, list_bits
 from ...common.union_find import root_of
 from ..model.records import Rays
 
@@ -33,7 +32,7 @@ def scrambled(x):
 
 
 @kernel(inline="compiled")
-def row_of(a, b, pairs, count, table, size):
+def pair_row(a, b, pairs, count, table, size):
     """The row of a pair of regions among the first ``count``, or ``count`` if it is none of them.
 
     ``pairs[row]`` is a, b and the slot of ``table`` int32 that says ``row``; for a new pair that slot is written to
@@ -102,39 +101,42 @@ def neighbours(region, rays, contacts):
     right_v = 1 if down_v > 1 else 0
     steps, steps_u, steps_v = DOWN * width + RIGHT, DOWN * down_u + RIGHT, DOWN * down_v + RIGHT * right_v
     # For each block of a row, a byte: bit k is whether there is another region in direction k.
-    touching = np.zeros(in_words(columns), np.uint8)
-    words, touches = touching.view(np.uint64), np.empty(SIDES * columns, np.int32)
+    touching = np.empty(columns, np.uint8)
     size = min(FEW_SLOTS, len(table))
     count = 0
     for row in range(rows):
-        own, below, beyond = around[row], around[row + 1], around[row + 2]
+        line, below, beyond = around[row], around[row + 1], around[row + 2]
         for c in range(columns):
-            a = own[c + 2]
-            sides = touch(a, own[c + 3], own[c + 4])
+            a = line[c + 2]
+            sides = touch(a, line[c + 3], line[c + 4])
             sides |= touch(a, below[c + 2], beyond[c + 2]) << 2
-            sides |= touch_at_corner(a, below[c + 3], beyond[c + 4], own[c + 3], below[c + 2]) << 4
-            sides |= touch_at_corner(a, below[c + 1], beyond[c], own[c + 1], below[c + 2]) << 6
+            sides |= touch_at_corner(a, below[c + 3], beyond[c + 4], line[c + 3], below[c + 2]) << 4
+            sides |= touch_at_corner(a, below[c + 1], beyond[c], line[c + 1], below[c + 2]) << 6
             touching[c] = sides if a >= 0 else 0
-        needed = min(2 * (count + len(touches)), len(table))
+        needed = min(2 * (count + SIDES * columns), len(table))
         if size < needed:
             while size < needed:
                 size = min(4 * size, len(table))
             for i in range(count):
-                row_of(pairs[i, 0], pairs[i, 1], pairs, i, table, size)
-        for n in range(list_bits(words, touches)):
-            k, c = touches[n] & 7, touches[n] >> 3
+                pair_row(pairs[i, 0], pairs[i, 1], pairs, i, table, size)
+        for c in range(columns):
+            if touching[c] == 0:
+                continue
             here, here_u, here_v = row * width + c + 2, row * down_u + c, row * down_v + c * right_v
-            own, b = flat[here], flat[here + steps[k]]
-            a, b = min(own, b), max(own, b)
-            i = row_of(a, b, pairs, count, table, size)
-            if i == count:
-                pairs[i, 0] = a
-                pairs[i, 1] = b
-                where[i, 0] = where[i, 1] = where[i, 2] = 0.0
-                count += 1
-            where[i, 0] += 1.0
-            where[i, 1] += 0.5 * (flat_u[here_u] + flat_u[here_u + steps_u[k]])
-            where[i, 2] += 0.5 * (flat_v[here_v] + flat_v[here_v + steps_v[k]])
+            for k in range(2 * SIDES):
+                if not touching[c] >> k & 1:
+                    continue
+                line, b = flat[here], flat[here + steps[k]]
+                a, b = min(line, b), max(line, b)
+                i = pair_row(a, b, pairs, count, table, size)
+                if i == count:
+                    pairs[i, 0] = a
+                    pairs[i, 1] = b
+                    where[i, 0] = where[i, 1] = where[i, 2] = 0.0
+                    count += 1
+                where[i, 0] += 1.0
+                where[i, 1] += 0.5 * (flat_u[here_u] + flat_u[here_u + steps_u[k]])
+                where[i, 2] += 0.5 * (flat_v[here_v] + flat_v[here_v + steps_v[k]])
     return count
 
 
@@ -155,26 +157,26 @@ def contract(contacts, count, parent, changed):
     size = len(table)
     while size >= 4 * count and size > 2:
         size //= 2
-    kept = 0
+    left = 0
     for i in range(count):
         a, b = root_of(parent, pairs[i, 0]), root_of(parent, pairs[i, 1])
         if a == b:
             continue
         # Pairs that disagree stay: one of the two may still change.
-        pairs[kept, 2] = -1
+        pairs[left, 2] = -1
         if changed[a] or changed[b]:
             a, b = min(a, b), max(a, b)
-            row = row_of(a, b, pairs, kept, table, size)
-            if row < kept:
+            row = pair_row(a, b, pairs, left, table, size)
+            if row < left:
                 for k in range(3):
                     where[row, k] += where[i, k]
                 continue
-        pairs[kept, 0] = a
-        pairs[kept, 1] = b
+        pairs[left, 0] = a
+        pairs[left, 1] = b
         for k in range(3):
-            where[kept, k] = where[i, k]
-        kept += 1
-    return kept
+            where[left, k] = where[i, k]
+        left += 1
+    return left
 
 
 @kernel()
@@ -184,15 +186,15 @@ def keep_pairs_inside(contacts, count, parent, chosen):
     ``parent`` (N,) is the region that each lies in, ``chosen`` (N,) bool is that of these regions.
     """
     pairs, where, _ = contacts
-    kept = 0
+    left = 0
     for i in range(count):
         root = parent[pairs[i, 0]]
         if root == parent[pairs[i, 1]] and chosen[root]:
             for k in range(3):
-                pairs[kept, k] = pairs[i, k]
-                where[kept, k] = where[i, k]
-            kept += 1
-    return kept
+                pairs[left, k] = pairs[i, k]
+                where[left, k] = where[i, k]
+            left += 1
+    return left
 
 
 @kernel()
@@ -202,10 +204,10 @@ def rename_pairs(pairs, count, number):
     If a region is dropped, contacts change, since `neighbours` looks across its blocks. Else they are the same regions
     that touch; only at corners, contacts of parts that have become one count, too.
     """
-    kept = True
+    left = True
     for a in range(len(number)):
-        kept &= number[a] >= 0
+        left &= number[a] >= 0
     for i in range(count):
         for k in range(2):
             pairs[i, k] = number[pairs[i, k]]
-    return kept
+    return left

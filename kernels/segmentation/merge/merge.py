@@ -31,15 +31,13 @@ def disagreements(moments, described, contacts, count, rules, tolerance, cost):
 
     Two things speak against it: the rise Δ of the sum of squared residuals, per pixel of the smaller region,
     and a jump from one plane to the other where the regions touch. A sensor's bias bends a plane, which
-    makes Δ and no jump; two parallel planes make a jump before they make much Δ. And a small region may be a crest
-    of the waves that a large one has all over: where errors reach far, these are much higher than its own noise.
-    Waves are hills and dales beside each other: over large regions they cancel, and do not bend one as if it were two.
+    makes Δ and no jump; two parallel planes make a jump before they make much Δ.
     """
     alpha, rss, variances, waviness_square = described
     pairs, where = contacts.pairs, contacts.where
-    floor, jump, spread = tolerance * rules.region_floor, tolerance * rules.region_jump, rules.region_spread
-    crest = tolerance * rules.region_crest
-    waves, wave_pixels = rules.region_waves, rules.wave_pixels
+    share = tolerance * rules.tolerance
+    floor, jump, spread = share * rules.bend_deviations, share * rules.jump_deviations, rules.joint_variances
+    crest, waves = share * rules.fit_deviations, rules.wave_variances
     # Joint moments; smaller, touch, step, rss, variance, the smaller and the larger squared waviness; the result.
     m = np.empty((18, TOGETHER))
     for start in range(0, count, TOGETHER):
@@ -55,16 +53,15 @@ def disagreements(moments, described, contacts, count, rules, tolerance, cost):
             m[12, i] = d_1 * where[k, 0] + d_u * where[k, 1] + d_v * where[k, 2]
             m[13, i] = rss[a] + rss[b]
             m[14, i] = min(variances[a], variances[b])
-            w_a, w_b = waviness_square[a], waviness_square[b]
-            m[15, i], m[16, i] = min(w_a, w_b), max(w_a, w_b)
+            m[15, i] = min(waviness_square[a], waviness_square[b], waves)
+            m[16, i] = max(waviness_square[a], waviness_square[b])
         for i in range(number):
             smaller, step, least = m[10, i], m[12, i] / m[11, i], crest * crest * m[16, i]
-            calm = min(m[15, i], waves) + max(m[15, i] - waves, 0.0) * min(wave_pixels / smaller, 1.0)
-            jumped = step * step / (max(jump * jump * calm, least) + 8.0 * spread / smaller)
+            jumped = step * step / (max(jump * jump * m[15, i], least) + 8.0 * spread / smaller)
             together, _, _, _ = solve(
                 m[0, i], m[1, i], m[2, i], m[3, i], m[4, i], m[5, i], m[6, i], m[7, i], m[8, i], m[9, i]
             )
-            risen = max(together - m[13, i], 0.0) / (max(floor * floor * calm, least) * smaller + spread)
+            risen = max(together - m[13, i], 0.0) / (max(floor * floor * m[15, i], least) * smaller + spread)
             m[17, i] = max(jumped, risen) / m[14, i]
         for i in range(number):
             cost[start + i] = m[17, i]
@@ -93,10 +90,10 @@ def describe(moments, chosen, noise, described):
             for j in range(10):
                 m[j, i] = moments[a, j]
         for i in range(number):
-            error, of_u, of_v, of_1 = solve(
+            error, slope_u, slope_v, offset = solve(
                 m[0, i], m[1, i], m[2, i], m[3, i], m[4, i], m[5, i], m[6, i], m[7, i], m[8, i], m[9, i]
             )
-            m[10, i], m[11, i], m[12, i], m[13, i] = error, of_u, of_v, of_1
+            m[10, i], m[11, i], m[12, i], m[13, i] = error, slope_u, slope_v, offset
             m[14, i] = m[3, i] / max(m[0, i], 1.0)
         for i in range(number):
             a = regions[i]
@@ -136,13 +133,13 @@ def merge(moments, contacts, count, noise, rules, tolerance, parent):
         From `neighbours`; they are overwritten.
     noise : Noise
     rules : Rules
-        A pair agrees if Δ is at most σ² (floor² · waviness² · n + spread), and the jump at most about
-        jump · waviness · σ; n is the smaller region's pixels, the waviness is its own, and σ² the smaller of the two
-        variances. Of a squared waviness what is above ``region_waves`` counts up to ``wave_pixels``: times that / n in
-        larger regions. Where crest times the larger region's waviness is more, it takes the place of floor · waviness
-        and jump · waviness.
+        A pair agrees if Δ is at most σ² (floor² · w² · n + spread), and the jump at most about ``jump_deviations`` ·
+        w · σ; n is the smaller region's pixels, w² the smaller of the two squared wavinesses, up to ``wave_variances``,
+        floor ``bend_deviations``, spread ``joint_variances``, and σ² the smaller of the two variances. Where
+        ``fit_deviations`` times the larger region's waviness is more, it takes the place of w and both deviations: a
+        small region may be a crest of the waves that a large one has all over.
     tolerance : float
-        Factor on ``region_floor``, ``region_jump`` and ``region_crest``.
+        Factor on all three deviations.
     parent : (N,) int64, written
         The region that each one went into.
 

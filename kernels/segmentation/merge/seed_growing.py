@@ -7,25 +7,18 @@ planes takes a square that fits both is not decided here: such a square adds mor
 import numpy as np
 
 from ..._jit.kernel import kernel
-from ...common.bit_marks import in_words, list_bits
 from ...common.union_find import root_of
-from ..model.moments import residual_of_two
+from ..model.moments import joint_residual
 from ..model.records import Noise, Rules
 from .merge import describe
-
-
-@kernel(inline="compiled")
-def differ(a, b):
-    """1 if ``a`` and ``b`` are two regions, else 0."""
-    return 1 if (a >= 0) & (b >= 0) & (a != b) else 0
 
 
 @kernel()
 def grow_together(region, moments, noise, rules, parent):
     """Join regions that touch, one pair after the other along the rows of blocks.
 
-    Two regions of together at most ``most`` pixels are joined if that raises the sum of squared residuals by no more
-    than the share ``sure`` of what `merge.merge` allows in the end.
+    Two regions are joined if that raises the sum of squared residuals by no more than the share ``certain_share`` of
+    what `merge.merge` allows in the end.
 
     Parameters
     ----------
@@ -46,30 +39,23 @@ def grow_together(region, moments, noise, rules, parent):
     describe(moments, np.ones(regions, np.bool_), noise, described)
     for a in range(regions):
         parent[a] = a
-    most, floor, spread = rules.most, rules.sure * rules.region_floor**2, rules.sure * rules.region_spread
+    floor = rules.certain_share * (rules.tolerance * rules.bend_deviations) ** 2
+    spread = rules.certain_share * rules.joint_variances
     last_a, last_b = np.full(2, -1), np.full(2, -1)  # the last pair refused, in each direction
-    # For each block of a row, a byte: bit 0 is for another region to the right, bit 1 for one below.
-    touching = np.zeros(in_words(columns), np.uint8)
-    words, touches = touching.view(np.uint64), np.empty(2 * columns, np.int32)
     for row in range(rows):
-        own, below = region[row], region[min(row + 1, rows - 1)]
-        for c in range(columns - 1):
-            touching[c] = differ(own[c], own[c + 1]) + 2 * differ(own[c], below[c])
-        touching[columns - 1] = 2 * differ(own[columns - 1], below[columns - 1])
-        for n in range(list_bits(words, touches)):
-            side, c = touches[n] & 1, touches[n] >> 3
-            here, there = own[c], below[c] if side == 1 else own[c + 1]
+        line, below = region[row], region[min(row + 1, rows - 1)]
+        for n in range(2 * columns):
+            side, c = n & 1, n >> 1  # the block to the right, and the one below
+            here, there = line[c], below[c] if side == 1 else line[min(c + 1, columns - 1)]
+            if here < 0 or there < 0 or here == there:
+                continue
             a, b = root_of(parent, here), root_of(parent, there)
             parent[here], parent[there] = a, b  # so that no way is long
             if a == b or (a == last_a[side] and b == last_b[side]):
                 continue
-            together, joined = 0.0, False
-            if moments[a, 0] + moments[b, 0] <= most:
-                together = residual_of_two(moments, a, b)
-                calm, smaller = (min(waviness_square[a], waviness_square[b]), min(moments[a, 0], moments[b, 0]))
-                allowed = min(variances[a], variances[b]) * (floor * calm * smaller + spread)
-                joined = together - rss[a] - rss[b] <= allowed
-            if not joined:
+            together = joint_residual(moments, a, b)
+            waves, smaller = min(waviness_square[a], waviness_square[b]), min(moments[a, 0], moments[b, 0])
+            if together - rss[a] - rss[b] > min(variances[a], variances[b]) * (floor * waves * smaller + spread):
                 last_a[side], last_b[side] = a, b
                 continue
             a, b = min(a, b), max(a, b)

@@ -20,13 +20,13 @@ from ..model.quadrics import (
     SURE,
     TERMS,
     add_blocks,
+    block_buffer,
     eliminate,
     extent,
-    own_turn,
+    group_turns,
     owned_means,
-    room_for_blocks,
-    step_of,
-    turn_of_groups,
+    region_turn,
+    sampling_step,
 )
 from ..model.records import Noise, Regions, Rules, as_regions, as_view
 
@@ -55,7 +55,7 @@ def find_doubtful(moments, first_moments, parent, noise, rules, rough, several, 
     noise : Noise
     rules : Rules
     rough : (N,) bool, written
-        Those with a residual above ``rough`` standard deviations.
+        Those with a residual above ``fit_deviations``.
     several : (N,) bool, written
         The others with two or more parts that may be faces, turned against each other, and a residual larger than
         that of a plane.
@@ -79,7 +79,7 @@ def find_doubtful(moments, first_moments, parent, noise, rules, rough, several, 
         if rss >= 0.0:
             n = moments[a, 0]
             allowed = n * variance(moments[a], alpha, noise) * waviness(n, noise.growth) ** 2
-            rough[a] = rss > rules.rough**2 * allowed
+            rough[a] = rss > rules.fit_deviations**2 * allowed
             several[a] = faces[a] > 1 and not rough[a] and rss > allowed
             found |= rough[a]
             uneven |= several[a]
@@ -92,7 +92,7 @@ def find_doubtful(moments, first_moments, parent, noise, rules, rough, several, 
         if several[parent[a]] and first_moments[a, 0] >= FACE and fit(first_moments[a], alpha) >= 0.0:
             copy(alpha, alphas[a])
     turn_square, total = np.empty(len(parent)), np.empty(len(parent))
-    turn_of_groups(parent, weight, alphas, np.zeros(len(parent)), turn_square, total, faces)
+    group_turns(parent, weight, alphas, np.zeros(len(parent)), turn_square, total, faces)
     for a in range(len(parent)):
         root = parent[a]
         if several[root] and not ajar[root] and first_moments[a, 0] >= AJAR_FACE and alphas[a, 0] < math.inf:
@@ -106,18 +106,18 @@ def find_doubtful(moments, first_moments, parent, noise, rules, rough, several, 
 @kernel()
 def is_ajar(part, alpha, whole, noise, rules):
     """Whether a part, with plane ``alpha``, is turned against the rest of a region, and rough about its plane."""
-    rest, of_rest = whole - part, np.empty(3)
-    if rest[0] < AJAR_FACE or fit(rest, of_rest) < 0.0:
+    rest, rest_alpha = whole - part, np.empty(3)
+    if rest[0] < AJAR_FACE or fit(rest, rest_alpha) < 0.0:
         return False
-    if angle_between(alpha, of_rest) < AJAR:
+    if angle_between(alpha, rest_alpha) < AJAR:
         return False
-    a, b, c = alpha[0] - of_rest[0], alpha[1] - of_rest[1], alpha[2] - of_rest[2]
+    a, b, c = alpha[0] - rest_alpha[0], alpha[1] - rest_alpha[1], alpha[2] - rest_alpha[2]
     # What the rest's plane adds to the squared residuals of the part.
     more = (
         a * (a * part[4] + 2.0 * (b * part[5] + c * part[1])) + b * (b * part[7] + 2.0 * c * part[2]) + c * c * part[0]
     )
     allowed = part[0] * variance(part, alpha, noise) * waviness(whole[0], noise.growth) ** 2
-    return more > rules.rough**2 * allowed
+    return more > rules.fit_deviations**2 * allowed
 
 
 @kernel()
@@ -150,14 +150,16 @@ def keep_turned(view, regions, ajar, chosen):
     label_blocks(regions.block, parent, parent, chosen, labels)
     means = owned_means(Regions(labels, moments, parent, regions.owners, regions.shares), pyramid)
     alpha, box = np.empty(3), np.empty((len(chosen), 4), np.int64)
-    room, products = room_for_blocks(), np.empty((TERMS + 1, TERMS + 1))
+    buffer, products = block_buffer(), np.empty((TERMS + 1, TERMS + 1))
     boxes(labels, box)
     for a in range(len(chosen)):
         if chosen[a]:
             m = moments[a]
             fit(m, alpha)
-            of_pixel, waves = variance(m, alpha, noise), waviness(m[0], noise.growth) ** 2
-            turned, _, _, _ = own_turn(labels, means, a, box, m, alpha, of_pixel, waves, rules, room, products)
+            pixel_variance, waves = variance(m, alpha, noise), waviness(m[0], noise.growth) ** 2
+            turned, _, _, _ = region_turn(
+                labels, means, a, box, m, alpha, pixel_variance, waves, rules, buffer, products
+            )
             ajar[a] &= not turned > TURNED**2
             chosen[a] = turned > TURNED**2 or ajar[a]
 
@@ -199,7 +201,7 @@ def keep_faces(view, regions, first_moments, again, ajar, chosen):
     labels = np.empty_like(regions.block)
     label_blocks(regions.block, again, parent, chosen, labels)
     means = owned_means(Regions(labels, moments, again, regions.owners, regions.shares), pyramid)
-    alpha, room = np.empty(3), room_for_blocks()
+    alpha, buffer = np.empty(3), block_buffer()
     box, window = np.empty((len(chosen), 4), np.int64), np.empty(4, np.int64)
     boxes(labels, box)
     for root in range(len(chosen)):
@@ -215,10 +217,10 @@ def keep_faces(view, regions, first_moments, again, ajar, chosen):
         m = moments[root]
         fit(m, alpha)
         deviation = math.sqrt(variance(m, alpha, noise))
-        centre, scale, step = (m[1] / m[0], m[2] / m[0]), extent(m), step_of(window)
+        centre, scale, step = (m[1] / m[0], m[2] / m[0]), extent(m), sampling_step(window)
         products = np.zeros((len(faces), TERMS + 1, TERMS + 1))
         for k, a in enumerate(faces):
-            add_blocks(labels, means, a, box, alpha, deviation, window, step, centre, scale, room, products[k])
+            add_blocks(labels, means, a, box, alpha, deviation, window, step, centre, scale, buffer, products[k])
         better, bend = planes_fit_better(products)
         sure = SURE * noise.together * waviness(m[0], noise.growth) ** 2 / (step * step)
         are_faces = better > max(margin * bend, sure * (len(faces) - 1))

@@ -48,7 +48,7 @@ def residual(m):
 
 
 @kernel(inline="compiled")
-def residual_of_two(moments, a, b):
+def joint_residual(moments, a, b):
     """Sum of squared residuals of one plane fitted to rows ``a`` and ``b`` of moments; -1 where there is none."""
     return solve(
         moments[a, 0] + moments[b, 0], moments[a, 1] + moments[b, 1], moments[a, 2] + moments[b, 2],
@@ -59,7 +59,7 @@ def residual_of_two(moments, a, b):
 
 
 @kernel(inline="compiled")
-def residual_of(moments, a):
+def region_residual(moments, a):
     """Sum of squared residuals of the plane fitted to row ``a`` of moments; -1 where there is none."""
     return solve(
         moments[a, 0], moments[a, 1], moments[a, 2], moments[a, 3], moments[a, 4], moments[a, 5], moments[a, 6],
@@ -70,7 +70,7 @@ def residual_of(moments, a):
 @kernel(inline="compiled")
 def rise(moments, a, b):
     """By how much the sum of squared residuals is larger for rows ``a`` and ``b`` together than for the two apart."""
-    return residual_of_two(moments, a, b) - residual_of(moments, a) - residual_of(moments, b)
+    return joint_residual(moments, a, b) - region_residual(moments, a) - region_residual(moments, b)
 
 
 @kernel(inline="compiled")
@@ -103,7 +103,7 @@ def angle_between(alpha, beta):
 
 
 @kernel(inline="compiled")
-def ray_of(rays, y, x):
+def pixel_ray(rays, y, x):
     """tanθx and tanθy of a pixel."""
     tan_x, tan_y = rays.tan_x, rays.tan_y
     return tan_x[y if tan_x.shape[0] > 1 else 0, x], tan_y[y, x if tan_y.shape[1] > 1 else 0]
@@ -122,7 +122,7 @@ def misfit(m, i, alpha, region):
 
 
 @kernel(inline=True)
-def rows_of(moments, first, part):
+def moment_rows(moments, first, part):
     """Columns ``part`` of five rows of moments, from the ``first`` on, each an array of its own.
 
     Reading a row by one index takes the processor's vectors a quarter of the time of reading the whole array by two.

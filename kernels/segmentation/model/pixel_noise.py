@@ -82,8 +82,8 @@ def through_lens(a, b, x, y, lens, n, s_uu, s_uv, s_vv):
     """Variance x·a² + y·b² that slopes a and b make, over n pixels seen through a lens."""
     per_pixel = 1.0 / max(n, 1.0)
     across, along = at_angle((s_uu + s_vv) * per_pixel, lens)
-    of_radius = (a * a * s_uu + 2.0 * a * b * s_uv + b * b * s_vv) * per_pixel
-    return across * (x * a * a + y * b * b) + along * math.sqrt(x * y) * of_radius
+    radial = (a * a * s_uu + 2.0 * a * b * s_uv + b * b * s_vv) * per_pixel
+    return across * (x * a * a + y * b * b) + along * math.sqrt(x * y) * radial
 
 
 @kernel(inline="compiled")
@@ -94,7 +94,7 @@ def stretch_at(square, lens):
 
 
 @kernel(inline="compiled")
-def stretch_of(m, lens):
+def region_stretch(m, lens):
     """`stretch_at` for pixels of moments ``m``; 1 without a lens."""
     stretch = 1.0
     if lens.shape[1] > 0:
@@ -118,10 +118,10 @@ def slope_variance(m, alpha, noise):
     is noise too.
     """
     a, b, x, y = alpha[0], alpha[1], noise.lateral_variance_x, noise.lateral_variance_y
-    made = x * a * a + y * b * b
+    added = x * a * a + y * b * b
     if noise.lens.shape[1] > 0:
-        made = through_lens(a, b, x, y, noise.lens, m[0], m[4], m[5], m[7])
-    return made
+        added = through_lens(a, b, x, y, noise.lens, m[0], m[4], m[5], m[7])
+    return added
 
 
 @kernel(inline="compiled")

@@ -7,7 +7,7 @@ from ...common.arrays import copy
 from ...statistics.rounding import between_codes, in_common, is_left
 from ...statistics.sandwich_covariance import sandwich
 from .moments import fit
-from .pixel_noise import about_plane, sensor_variance, slope_variance, step_at, stretch_of, waviness
+from .pixel_noise import about_plane, region_stretch, sensor_variance, slope_variance, step_at, waviness
 from .records import Found, Modelled, Noise
 
 
@@ -18,16 +18,16 @@ def fit_regions(moments, noise, planes):
     A region without a plane gets an α of infinities, which no pixel fits.
     """
     noise = Noise(*noise)
-    alpha, of_slope, waviness_square, stretch, _ = planes
+    alpha, slope, waviness_square, stretch, _ = planes
     for i in range(len(moments)):
         if fit(moments[i], alpha[i]) < 0.0:
             alpha[i, :] = math.inf
-            of_slope[i] = 1.0
+            slope[i] = 1.0
             waviness_square[i] = stretch[i] = 1.0
             continue
         waviness_square[i] = waviness(moments[i, 0], noise.growth) ** 2
-        stretch[i] = stretch_of(moments[i], noise.lens)
-        of_slope[i] = slope_variance(moments[i], alpha[i], noise) / stretch[i]
+        stretch[i] = region_stretch(moments[i], noise.lens)
+        slope[i] = slope_variance(moments[i], alpha[i], noise) / stretch[i]
 
 
 @kernel()
@@ -46,7 +46,7 @@ def fit_planes(moments, alpha, rss):
 
 
 @kernel()
-def covariance_of(m, weighted, of_slope_x, of_slope_y, of_mean, more, shared, covariance):
+def plane_covariance(m, weighted, variance_x, variance_y, mean_variance, more, shared, covariance):
     """Write the covariance of α, (3, 3): see `statistics.sandwich`.
 
     ``weighted`` (5,) comes from `weights.weigh_rays`. ``of_slope_x``, ``of_slope_y`` and ``of_mean`` are
@@ -56,11 +56,14 @@ def covariance_of(m, weighted, of_slope_x, of_slope_y, of_mean, more, shared, co
     n, u, v = m[0], m[1] / m[0], m[2] / m[0]
     rays = weighted[0], weighted[1], weighted[2], weighted[3], weighted[4]
     _, slopes, with_mean = sandwich(n, u, v, m[4] - n * u * u, m[5] - n * u * v, m[7] - n * v * v, rays)
-    a, c = slopes[0] * of_slope_x, slopes[2] * of_slope_y
-    b = slopes[1] * math.sqrt(of_slope_x * of_slope_y)
-    a_mean, b_mean = (with_mean[0] * math.sqrt(of_slope_x * of_mean), with_mean[1] * math.sqrt(of_slope_y * of_mean))
+    a, c = slopes[0] * variance_x, slopes[2] * variance_y
+    b = slopes[1] * math.sqrt(variance_x * variance_y)
+    a_mean, b_mean = (
+        with_mean[0] * math.sqrt(variance_x * mean_variance),
+        with_mean[1] * math.sqrt(variance_y * mean_variance),
+    )
     a, b, c = a + more * shared[0], b + more * shared[1], c + more * shared[2]
-    a_mean, b_mean, mean = a_mean + more * shared[3], b_mean + more * shared[4], of_mean / n + more * shared[5]
+    a_mean, b_mean, mean = a_mean + more * shared[3], b_mean + more * shared[4], mean_variance / n + more * shared[5]
     covariance[0, 0], covariance[0, 1], covariance[1, 1] = a, b, c
     covariance[0, 2], covariance[1, 2] = a_mean - (a * u + b * v), b_mean - (b * u + c * v)
     covariance[2, 2] = mean + u * (a * u + b * v) + v * (b * u + c * v) - 2.0 * (a_mean * u + b_mean * v)
@@ -78,7 +81,7 @@ def describe_planes(
     found : Found
     noise : Noise
     together : float
-        See `correlation.as_planes_show`.
+        See `correlation.shared_by_planes`.
     modelled : Modelled
     step_of_raw, scale, is_disparity
         See `pixel_noise.step_at`.
@@ -106,7 +109,7 @@ def describe_planes(
             expected = modelled.residual[i] + lateral
             more = max(seen / expected, 1.0)
             variance = more * (modelled.alone[i] + lateral)
-        of_x = of_y = of_mean = 0.0
+        shared_x = shared_y = mean_variance = 0.0
         step = step_at(moments[i, 3] / n, step_of_raw, scale, is_disparity)
         if step > 0.0:
             u, v = moments[i, 1] / n, moments[i, 2] / n
@@ -116,10 +119,10 @@ def describe_planes(
             others = max(min(seen, expected) - step**2 / 12.0, 0.0)
             if is_left(step**2, others):  # then half-way between two codes rounding makes up to Δ²/4 of what is seen
                 others = max(others - between_codes(step**2, 0.0, u_steps, v_steps), 0.0)
-            of_x, of_y, of_mean = in_common(step**2, others, n, u_steps, v_steps)
-        covariance_of(
-            moments[i], weighted[i], variance + of_x, variance + of_y, variance + of_mean, more, modelled.shared[i],
-            covariance[i],
+            shared_x, shared_y, mean_variance = in_common(step**2, others, n, u_steps, v_steps)
+        plane_covariance(
+            moments[i], weighted[i], variance + shared_x, variance + shared_y, variance + mean_variance, more,
+            modelled.shared[i], covariance[i],
         )  # fmt: skip
         d = 1.0 / math.sqrt(alpha[i, 0] ** 2 + alpha[i, 1] ** 2 + alpha[i, 2] ** 2)
         for k in range(3):

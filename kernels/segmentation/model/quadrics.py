@@ -8,9 +8,8 @@ import math
 import numpy as np
 
 from ..._jit.kernel import kernel
-from ...common.bit_marks import list_marked, room_for_marks
 from ...common.union_find import root_of
-from .moments import ray_of, rows_of
+from .moments import moment_rows, pixel_ray
 from .records import BLOCK, MIXED, UNSEEN
 
 TERMS = 6  # of a quadric: 1, x, y, x², xy, y²
@@ -49,23 +48,21 @@ def owned_means(regions, pyramid):
     rows, columns = region.shape
     moments = pyramid.moments
     means = np.empty((4, rows, columns), np.float32)
-    mixed, words, marked = room_for_marks(columns)
     for row in range(rows):
         here = slice(row * columns, (row + 1) * columns)
-        n, s_u, s_v, s_q, _ = rows_of(moments, 0, here)
-        of_n, of_u, of_v, of_q = means[0, row], means[1, row], means[2, row], means[3, row]
+        n, s_u, s_v, s_q, _ = moment_rows(moments, 0, here)
+        block_pixels, block_u, block_v, block_q = means[0, row], means[1, row], means[2, row], means[3, row]
         for column in range(columns):
             per_pixel = 1.0 / max(n[column], 1.0)
-            of_n[column] = n[column]
-            of_u[column] = s_u[column] * per_pixel
-            of_v[column] = s_v[column] * per_pixel
-            of_q[column] = s_q[column] * per_pixel
-        own, owner = region[row], block[row]
+            block_pixels[column] = n[column]
+            block_u[column] = s_u[column] * per_pixel
+            block_v[column] = s_v[column] * per_pixel
+            block_q[column] = s_q[column] * per_pixel
+        owned, owner = region[row], block[row]
         for column in range(columns):
-            mixed[column] = (own[column] >= 0) & (owner[column] == MIXED)
-        for i in range(list_marked(mixed, words, True, marked)):
-            column = marked[i]
-            a = own[column]
+            a = owned[column]
+            if a < 0 or owner[column] != MIXED:
+                continue
             n_a, u_a, v_a, q_a = 0.0, 0.0, 0.0, 0.0
             first = first_share[row, column]
             for s in range(first, first + shares_of[row, column]):
@@ -75,13 +72,13 @@ def owned_means(regions, pyramid):
                     v_a += share_moments[s, 2]
                     q_a += share_moments[s, 3]
             per_pixel = 1.0 / max(n_a, 1.0)
-            of_n[column], of_u[column] = n_a, u_a * per_pixel
-            of_v[column], of_q[column] = v_a * per_pixel, q_a * per_pixel
+            block_pixels[column], block_u[column] = n_a, u_a * per_pixel
+            block_v[column], block_q[column] = v_a * per_pixel, q_a * per_pixel
     return means
 
 
 @kernel(arrays=False)
-def bits_of(regions, a, row, column):
+def owned_bits(regions, a, row, column):
     """Which pixels of a block region ``a`` owns, as in `Shares`; -1 for all that are measured."""
     region, _, number, owners, shares = regions
     bits = 0
@@ -106,54 +103,54 @@ def inner_pixels(regions, a, box, inverse_depth, rays, pixels):
     """
     height, width = inverse_depth.shape
     top, left = BLOCK * box[a, 0] - 1, BLOCK * box[a, 2] - 1  # with a rim
-    own = np.zeros((BLOCK * box[a, 1] - top + 1, BLOCK * box[a, 3] - left + 1), np.bool_)
-    room = pixels.shape[1]
-    places = np.empty((room, 2), np.int32)
+    owned = np.zeros((BLOCK * box[a, 1] - top + 1, BLOCK * box[a, 3] - left + 1), np.bool_)
+    buffer = pixels.shape[1]
+    places = np.empty((buffer, 2), np.int32)
     count = 0
     for row in range(box[a, 0], box[a, 1]):
         for column in range(box[a, 2], box[a, 3]):
-            bits = bits_of(regions, a, row, column)
+            bits = owned_bits(regions, a, row, column)
             if bits == 0:
                 continue
             for y in range(BLOCK * row, min(BLOCK * row + BLOCK, height)):
                 for x in range(BLOCK * column, min(BLOCK * column + BLOCK, width)):
                     is_own = bits >> (BLOCK * (y % BLOCK) + x % BLOCK) & 1 and inverse_depth[y, x] > 0.0
-                    if is_own and count < room:
-                        own[y - top, x - left] = True
+                    if is_own and count < buffer:
+                        owned[y - top, x - left] = True
                         places[count, 0], places[count, 1] = y - top, x - left
                         count += 1
     inside = np.empty(count, np.bool_)
     inner = 0
     for i in range(count):
         y, x = places[i, 0], places[i, 1]
-        inside[i] = own[y - 1, x] & own[y + 1, x] & own[y, x - 1] & own[y, x + 1]
+        inside[i] = owned[y - 1, x] & owned[y + 1, x] & owned[y, x - 1] & owned[y, x + 1]
         inner += inside[i]
     everything = 2 * inner < count
     chosen = 0
     for i in range(count):
         if inside[i] or everything:
             y, x = top + places[i, 0], left + places[i, 1]
-            u, v = ray_of(rays, y, x)
+            u, v = pixel_ray(rays, y, x)
             pixels[0, chosen], pixels[1, chosen], pixels[2, chosen] = 1.0, u, v
             pixels[3, chosen] = inverse_depth[y, x]
             chosen += 1
     return chosen
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def first_from(start, step, least):
     """The first of ``start``, ``start + step``, ... that is at least ``least``."""
     return start + (max(least - start, 0) + step - 1) // step * step
 
 
 @kernel(inline=True)
-def room_for_blocks():
+def block_buffer():
     """Room in which `add_blocks` collects blocks."""
     return np.empty((4, TOGETHER), np.float32)
 
 
 @kernel(arrays=False)
-def add_blocks(region, means, a, box, reference, deviation, window, step, centre, scale, room, products):
+def add_blocks(region, means, a, box, reference, deviation, window, step, centre, scale, buffer, products):
     """Add the blocks of region ``a`` in a window to the sums of products that a fit needs.
 
     Parameters
@@ -171,7 +168,7 @@ def add_blocks(region, means, a, box, reference, deviation, window, step, centre
     centre, scale
         x = (u - centre[0]) / scale, y = (v - centre[1]) / scale.
     room
-        See `room_for_blocks`.
+        See `block_buffer`.
     products : (7, 7) float64, added to
         Of 1, x, y, x², xy, y² and the residual, weighted by pixels.
 
@@ -183,16 +180,16 @@ def add_blocks(region, means, a, box, reference, deviation, window, step, centre
     count, pixels = 0, 0.0
     first_row, first_column = first_from(window[0], step, box[a, 0]), first_from(window[2], step, box[a, 2])
     for row in range(first_row, min(window[1], box[a, 1]), step):
-        of_row = region[row]
-        of_n, of_u, of_v, of_q = means[0, row], means[1, row], means[2, row], means[3, row]
+        row_regions = region[row]
+        block_pixels, block_u, block_v, block_q = means[0, row], means[1, row], means[2, row], means[3, row]
         for column in range(first_column, min(window[3], box[a, 3]), step):
-            room[0, count], room[1, count] = of_n[column], of_u[column]
-            room[2, count], room[3, count] = of_v[column], of_q[column]
-            count += of_row[column] == a
+            buffer[0, count], buffer[1, count] = block_pixels[column], block_u[column]
+            buffer[2, count], buffer[3, count] = block_v[column], block_q[column]
+            count += row_regions[column] == a
             if count == TOGETHER:
-                pixels += add_products(room, count, reference, deviation, centre, scale, products)
+                pixels += add_products(buffer, count, reference, deviation, centre, scale, products)
                 count = 0
-    return pixels + add_products(room, count, reference, deviation, centre, scale, products)
+    return pixels + add_products(buffer, count, reference, deviation, centre, scale, products)
 
 
 @kernel(reduction=True)
@@ -203,10 +200,10 @@ def add_products(chosen, count, reference, deviation, centre, scale, products):
     e_00 = e_10 = e_01 = e_20 = e_11 = e_02 = ee = 0.0
     c_u, c_v, c_1 = reference[0], reference[1], reference[2]
     u_0, v_0, per_length, per_deviation = centre[0], centre[1], 1.0 / scale, 1.0 / deviation
-    of_n, of_u, of_v, of_q = chosen[0], chosen[1], chosen[2], chosen[3]
+    block_pixels, block_u, block_v, block_q = chosen[0], chosen[1], chosen[2], chosen[3]
     for i in range(count):
-        n, u, v = np.float64(of_n[i]), np.float64(of_u[i]), np.float64(of_v[i])
-        e = (of_q[i] - (c_u * u + c_v * v + c_1)) * per_deviation
+        n, u, v = np.float64(block_pixels[i]), np.float64(block_u[i]), np.float64(block_v[i])
+        e = (block_q[i] - (c_u * u + c_v * v + c_1)) * per_deviation
         x, y = (u - u_0) * per_length, (v - v_0) * per_length
         n_x, n_y, n_e = n * x, n * y, n * e
         n_xx, n_xy, n_yy = n_x * x, n_x * y, n_y * y
@@ -242,7 +239,7 @@ def add_products(chosen, count, reference, deviation, centre, scale, products):
     return n_00
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def add_row(products, row, values):
     """Add to a row of the upper triangle."""
     for k in range(len(values)):
@@ -315,14 +312,14 @@ def turn(m, alpha, h):
 
 
 @kernel(arrays=False)
-def step_of(window):
+def sampling_step(window):
     """Step between the rows, and the columns, of blocks that are enough."""
     area = (window[1] - window[0]) * (window[3] - window[2])
     return max(1, int(math.sqrt(area / SHAPE_BLOCKS)))
 
 
 @kernel()
-def own_turn(region, means, a, box, m, alpha, variance, waviness_square, rules, room, products):
+def region_turn(region, means, a, box, m, alpha, variance, waviness_square, rules, buffer, products):
     """How far the normals of a region turn within it: mean squared angle, 0 where noise explains it.
 
     Parameters
@@ -339,7 +336,7 @@ def own_turn(region, means, a, box, m, alpha, variance, waviness_square, rules, 
         Of a pixel about the plane, without the waviness.
     rules : Rules
     room
-        See `room_for_blocks`.
+        See `block_buffer`.
     products : (7, 7) float64, written
         Those of the quadric, after `eliminate`.
 
@@ -351,21 +348,21 @@ def own_turn(region, means, a, box, m, alpha, variance, waviness_square, rules, 
     gain, rest : float
         By how much the quadric lowers the mean squared residual of the plane, and what it leaves, in variances.
     """
-    deviation, scale, step = math.sqrt(variance), extent(m), step_of(box[a])
+    deviation, scale, step = math.sqrt(variance), extent(m), sampling_step(box[a])
     centre = m[1] / m[0], m[2] / m[0]
     products[:] = 0.0
-    pixels = add_blocks(region, means, a, box, alpha, deviation, box[a], step, centre, scale, room, products)
+    pixels = add_blocks(region, means, a, box, alpha, deviation, box[a], step, centre, scale, buffer, products)
     if pixels == 0.0:
         return 0.0, 0.0, 0.0, 0.0
     flat = eliminate(products, 0, PLANE_TERMS)
     rest = eliminate(products, PLANE_TERMS, TERMS)
     bending = turn(m, alpha, second_derivatives(products, scale, deviation))
-    turned = bending if (flat - rest) * step * step > rules.region_spread * waviness_square else 0.0
+    turned = bending if (flat - rest) * step * step > rules.joint_variances * waviness_square else 0.0
     return turned, bending, (flat - rest) / pixels, rest / pixels
 
 
 @kernel()
-def turn_of_groups(parent, weight, alpha, turned, turn_square, total, members):
+def group_turns(parent, weight, alpha, turned, turn_square, total, members):
     """Mean squared angle of the normals of each group of regions about their mean, written at the group's root.
 
     ``parent`` (N,) leads to the roots; ``turned`` (N,) is the mean squared angle of the normals within each region.

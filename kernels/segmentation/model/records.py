@@ -23,45 +23,24 @@ class Rules(NamedTuple):
     """The constants of the segmentation.
 
     Deviations are standard deviations of the frame's own noise, so none of these depends on a sensor, a unit or a
-    distance. `bench.segmentation` cross-validates them.
+    distance. `bench.segmentation` cross-validates them, and `bench.ablation` says what each is worth.
     """
 
-    rough_block: float = 3.0  # deviations of a planar block
-    steep_block: float = 0.6  # the same for the part that the block's own slope makes
-    square_floor: float = 1.0  # when four squares are one plane: see `quadtree.join_blocks`
-    square_spread: float = 30.0
-    sure: float = 0.1  # share of what one plane may add that leaves no doubt: see `seed_growing`
-    most: float = 4096.0  # pixels that two regions may have to be joined so
-    region_floor: float = 4.5  # when two regions are one plane: see `merge.merge`
-    region_jump: float = 6.0
-    region_crest: float = 3.0
-    region_spread: float = 30.0
-    region_waves: float = 2.0  # squared waviness that counts in regions of any size
-    wave_pixels: float = 1024.0  # and pixels of the smaller region up to which all of it counts
-    reach: float = 8.0  # deviations within which a region contends for a pixel
-    close: float = 3.0  # deviations within which two planes meet
-    settled: float = 3.0  # deviations of a block that is left alone
-    rough: float = 3.0  # deviations of a region that is parted, if it can be
-    shapeless: float = 3.5  # deviations of a part that is no plane
-    sharp: float = 12.0  # degrees, root mean square, by which the normals of a curved surface turn
-    blunt: float = 28.0  # degrees below which planes meet as the facets of something curved do
-    narrow: float = 4.5  # pixels: the least mean length of a plane's runs along rows, and along columns
-    bent: float = 2.0  # variances per pixel that a region's own bend must make to be more than the sensor's
-    off: float = 1.9  # deviations, times the waviness, that pixels at a plane's rim lie off it together to be no part
+    fit_deviations: float = 3.0  # root mean square, within which pixels fit a plane
+    steep_share: float = 0.6  # of the noise that a block's slope makes: across a depth jump a block looks steep, too
+    reach_deviations: float = 8.0  # within which a region contends for a pixel
+    bend_deviations: float = 4.5  # root mean square, by which joining two regions may bend the smaller one
+    jump_deviations: float = 6.0  # by which one plane may jump to another where two regions of one plane touch
+    wave_variances: float = 2.0  # of a region's squared waviness that may add to bends and jumps
+    joint_variances: float = 30.0  # that joining two may add to the sum of squared residuals, however few their pixels
+    certain_share: float = 0.1  # of what joining two may add, up to which it is beyond doubt
+    curved_degrees: float = 12.0  # root mean square, by which the normals of a curved surface turn
+    bent_variances: float = 2.0  # a pixel, that a region's own bend must make to be more than the sensor's
+    least_width: float = 4.5  # pixels: mean length of a plane's runs along rows, and along columns
+    rim_deviations: float = 1.9  # times the waviness, by which pixels at a plane's rim lie off it together
     evidence: float = 22.0  # the least that a plane must have: see `evidence.weigh_planes`
-    trips: int = 3  # from planes to pixels and back
-
-    def tolerating(self, share: float) -> "Rules":
-        """The rules for a sensor that bends planes less than most: with ``share`` of the tolerances."""
-        if share == 1.0:
-            return self
-        return self._replace(
-            square_floor=share * self.square_floor,
-            region_floor=share * self.region_floor,
-            region_jump=share * self.region_jump,
-            region_crest=share * self.region_crest,
-            bent=share * share * self.bent,
-        )
+    rounds: int = 3  # from planes to pixels and back
+    tolerance: float = 1.0  # of the frame: share of the deviations of bends and jumps, see `frame_noise.tolerance`
 
 
 class Reasons(NamedTuple):
@@ -138,7 +117,7 @@ class Planes(NamedTuple):
     alpha: Array  # (N, 3) float64
     slope_variance: Array  # (N,) float64: where ``stretch`` is 1
     waviness_square: Array  # (N,) float64
-    stretch: Array  # (N,) float64: see `pixel_noise.stretch_of`
+    stretch: Array  # (N,) float64: see `pixel_noise.region_stretch`
     square_stretch: Array  # that of `Rays`
 
 
@@ -182,9 +161,9 @@ class Contended(NamedTuple):
 class Contacts(NamedTuple):
     """Regions that touch: the first rows are in use, and their number is passed separately."""
 
-    pairs: Array  # (K, 3) int32: two regions, smaller first, and what `contacts.row_of` needs
+    pairs: Array  # (K, 3) int32: two regions, smaller first, and what `contacts.pair_row` needs
     where: Array  # (K, 3) float64: how many of their blocks touch, and the sum of the (u, v) in between
-    table: Array  # (2^k,) int32, larger than K: see `contacts.row_of`
+    table: Array  # (2^k,) int32, larger than K: see `contacts.pair_row`
 
 
 class Runs(NamedTuple):
@@ -224,7 +203,7 @@ class Found(NamedTuple):
     stray: Array  # (P,) bool: see `components.judge_parts`
     moments: Array  # (N, 10) float64: of the plane with label 1, 2, ...
     deviation: Array  # (N,) float64: standard deviation of a pixel about the plane of its region
-    inside: Array  # (N, 10) float64: moments of the pixels that it is fitted to, see `interior.inside_moments`
+    inside: Array  # (N, 10) float64: moments of the pixels that it is fitted to, see `interior.interior_moments`
     alpha: Array  # (N, 3) float64: so fitted
     rss: Array  # (N,) float64: sum of squared residuals of these pixels
     weighted: Array  # (N, 5) float64: see `weights.weigh_rays`
@@ -255,7 +234,7 @@ class Labels(NamedTuple):
     reason: Array  # (H, W) uint8
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def place(block, columns):
     """Row and column of a block, by unsigned numbers of half the size, which are divided in half the time."""
     return np.int64(np.uint32(block) // np.uint32(columns)), np.int64(np.uint32(block) % np.uint32(columns))

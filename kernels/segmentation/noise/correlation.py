@@ -37,12 +37,12 @@ def is_in_one(label, inverse_depth, top, left, side):
     """Whether a square lies in one plane: of 5 x 5 of its pixels, all that are measured have the same label."""
     one, step = 0, side // 4
     for y in range(top, top + side + 1, step):
-        of_row, measured = label[min(y, top + side - 1)], inverse_depth[min(y, top + side - 1)]
+        row_labels, measured = label[min(y, top + side - 1)], inverse_depth[min(y, top + side - 1)]
         for column in range(left, left + side + 1, step):
             x = min(column, left + side - 1)
             if measured[x] > 0.0:
-                one = of_row[x] if one == 0 else one
-                if one == 0 or of_row[x] != one:
+                one = row_labels[x] if one == 0 else one
+                if one == 0 or row_labels[x] != one:
                     return False
     return one > 0
 
@@ -171,7 +171,7 @@ def may_be_chance(ratios, counts):
 
 
 @kernel()
-def go_together(pyramid, sigma, typical, growth, reach):
+def shared_pixels(pyramid, sigma, typical, growth, reach):
     """How many pixels of a frame have one error between them, as squares of 32 pixels show it, and on the whole.
 
     Both are 0 if unknown. ``sigma``, ``typical`` and ``growth`` are those of `estimate.estimate_noise`,
@@ -193,7 +193,7 @@ def go_together(pyramid, sigma, typical, growth, reach):
 
 
 @kernel()
-def as_planes_show(together, pyramid, label, inverse_depth):
+def shared_by_planes(together, pyramid, label, inverse_depth):
     """How many pixels of a sensor's frame go together: ``together``, or 1 if squares in planes may show chance.
 
     Where there are many edges, a little of another surface is in many flat squares, and looks like shared errors. With
@@ -201,6 +201,6 @@ def as_planes_show(together, pyramid, label, inverse_depth):
     """
     ratios, counts = np.empty(SIZES), np.empty(SIZES, np.int64)
     for size in range(SIZES - 1, -1, -1):
-        step = 2 if size == 0 and counts[1] > 0 else 1  # as in `go_together`
+        step = 2 if size == 0 and counts[1] > 0 else 1  # as in `shared_pixels`
         ratios[size], counts[size] = shown(pyramid, SMALLEST + size, np.empty(0), np.inf, step, label, inverse_depth)
     return 1.0 if may_be_chance(ratios, counts) else together

@@ -12,7 +12,7 @@ from ...common.arrays import copy
 from ...common.quantiles import quantile
 from ..model.pixel_noise import expected_variance
 from ..model.records import BLOCK, Pyramid
-from .correlation import FEWEST, FLAT, FULL, go_together
+from .correlation import FEWEST, FLAT, FULL, shared_pixels
 
 # Numbers of blocks of 4 pixels that are enough where larger squares are too few: the smallest plane has as many as the
 # first. With more than MOST_BLOCKS the frame is not small but sparse.
@@ -73,7 +73,7 @@ def nearest_surface(pyramid, nearest):
     return nearest
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def is_constant(moments, i):
     """Whether all measurements of square ``i`` are the same; it needs at least three, as fewer say nothing."""
     n, sum_q = moments[0, i], moments[3, i]
@@ -117,7 +117,7 @@ def varied_squares(pyramid):
     return Pyramid(moments, rss, slope_square, offsets, shapes)
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def is_measured(moments, rss, level, i):
     """Whether square ``i`` of a level has enough pixels, and a plane."""
     return (moments[0, i] >= FULL * (BLOCK << level) ** 2) & (rss[i] >= 0.0)
@@ -142,7 +142,7 @@ def square_residuals(pyramid, level, sigma, mean_square, slope_square):
 
 
 @kernel()
-def is_of_depth(pyramid):
+def grows_with_depth(pyramid):
     """Whether the noise is the same at all depths Z: that of 1/Z then grows with the square of 1/Z.
 
     So it is with lasers and, within a factor, with time of flight, while that of triangulation is the same in 1/Z.
@@ -183,10 +183,10 @@ def is_of_depth(pyramid):
 
 
 @kernel()
-def typical_of_blocks(pyramid, sigma):
+def typical_in_blocks(pyramid, sigma):
     """Variance within blocks of 4 pixels, where hardly any square of 8 is measured; 0 if they do not tell."""
-    room = pyramid.offsets[1]
-    values, slope_square = np.empty(room), np.empty(room)
+    capacity = pyramid.offsets[1]
+    values, slope_square = np.empty(capacity), np.empty(capacity)
     count = square_residuals(pyramid, 0, sigma, values, slope_square)
     return quantile(values[:count], TYPICAL) if FEWEST_BLOCKS <= count <= MOST_BLOCKS else 0.0
 
@@ -229,19 +229,19 @@ def keep_clean_squares(pyramid, level, clean, mean_square):
     larger = np.empty((rows, columns), np.bool_)
     seen = count = 0
     for row in range(rows):
-        upper, lower, of_row = clean[2 * row], clean[2 * row + 1], larger[row]
+        upper, lower, row_clean = clean[2 * row], clean[2 * row + 1], larger[row]
         for c in range(columns):
-            of_row[c] = upper[2 * c] & upper[2 * c + 1] & lower[2 * c] & lower[2 * c + 1]
+            row_clean[c] = upper[2 * c] & upper[2 * c + 1] & lower[2 * c] & lower[2 * c + 1]
         for c in range(columns):  # without branches, which no processor could predict
             measured = is_measured(moments, rss, level, offsets[level] + row * columns + c)
             mean_square[count] = mean_square[seen]
-            count += measured & of_row[c]
+            count += measured & row_clean[c]
             seen += measured
     return count, larger
 
 
 @kernel()
-def lateral_of(mean_square, slope_square, typical):
+def lateral_error(mean_square, slope_square, typical):
     """Standard deviation, in pixels, of where a measurement lies, from the residuals of steep squares."""
     excess = np.empty(len(mean_square))
     count = 0
@@ -281,8 +281,8 @@ def estimate_noise(pyramid, sigma, growth, reach):
         Pixels that have one error between them, as far as squares of 32 pixels show it, and on the whole; 0 if unknown.
     """
     pyramid = varied_squares(pyramid)
-    room = pyramid.offsets[2] - pyramid.offsets[1]
-    mean_square, slope_square, values = np.empty(room), np.empty(room), np.empty(room)
+    capacity = pyramid.offsets[2] - pyramid.offsets[1]
+    mean_square, slope_square, values = np.empty(capacity), np.empty(capacity), np.empty(capacity)
     growth[:] = 1.0
     lateral = MOST_LATERAL
     typical = smallest = 0.0
@@ -291,7 +291,7 @@ def estimate_noise(pyramid, sigma, growth, reach):
         if count < (FEWEST_GROWN if level == 2 else FEWEST):
             growth[level - 1 :] = growth[max(level - 2, 0)]
             if level == 1:
-                typical = typical_of_blocks(pyramid, sigma)
+                typical = typical_in_blocks(pyramid, sigma)
             break
         copy(mean_square, values[:count])
         if level == 1:
@@ -301,15 +301,15 @@ def estimate_noise(pyramid, sigma, growth, reach):
             while share > LOWEST and LEAP * smallest < typical < NO_NOISE * smallest:
                 share *= 0.5
                 typical, smallest = smallest, quantile(values[:count], share)
-            lateral = lateral_of(mean_square[:count], slope_square[:count], typical)
+            lateral = lateral_error(mean_square[:count], slope_square[:count], typical)
             clean = clean_squares(pyramid, sigma, FLAT * typical)
         elif smallest > 0.0:
-            kept, clean = keep_clean_squares(pyramid, level, clean, mean_square)
-            if kept < FEW_CLEAN * count:  # most have an edge in them, or a stray pixel
-                if kept < FEWEST:
+            count_clean, clean = keep_clean_squares(pyramid, level, clean, mean_square)
+            if count_clean < FEW_CLEAN * count:  # most have an edge in them, or a stray pixel
+                if count_clean < FEWEST:
                     growth[level - 1 :] = growth[level - 2]
                     break
-                count = kept
+                count = count_clean
                 copy(mean_square, values[:count])
             grown = math.sqrt(quantile(values[:count], LOW) / smallest)
             if level == 2 and grown > MOST_OF_WAVES:
@@ -319,5 +319,5 @@ def estimate_noise(pyramid, sigma, growth, reach):
                 most = MOST_OF_FEW if count < FEW else MOST_STEEPENING
                 grown = min(grown, math.sqrt(1.0 + most * (growth[1] ** 2 - 1.0)))
             growth[level - 1] = min(max(grown, growth[level - 2]), MOST_GROWTH)
-    by_32, together = go_together(pyramid, sigma, typical, growth, reach)
+    by_32, together = shared_pixels(pyramid, sigma, typical, growth, reach)
     return typical, lateral, by_32, together

@@ -8,7 +8,7 @@ from ..._jit.kernel import kernel
 from ...common.arrays import copy
 from ...common.quantiles import quantile
 from ..model.pixel_noise import step_at
-from .estimate import estimate_noise, is_of_depth
+from .estimate import estimate_noise, grows_with_depth
 
 # Entries of the table of standard deviations: from an inverse depth of 0 to that of the nearest surface, in equal
 # steps. MIDDLE is that of a surface twice as far away as the nearest.
@@ -85,7 +85,7 @@ def find_noise(pyramid, nearest, given, is_sensors, step, scale, is_disparity, r
     if is_sensors:
         copy(given, shape)
         known = len(sigma)
-    elif not is_given and is_of_depth(pyramid):
+    elif not is_given and grows_with_depth(pyramid):
         for i in range(ENTRIES):
             shape[i] = (max(i, 1) / MIDDLE) ** 2
         known = len(sigma)
@@ -100,13 +100,13 @@ def find_noise(pyramid, nearest, given, is_sensors, step, scale, is_disparity, r
     shown_or_given = 0.0
     for i in range(ENTRIES):
         q = i * interval
-        of_steps = step_at(q, step, scale, is_disparity) / math.sqrt(12.0)
+        rounding = step_at(q, step, scale, is_disparity) / math.sqrt(12.0)
         if not is_given:
             # Between the first two entries it must not fall to zero: far surfaces may lie there.
-            value = max(min(deviation * shape[i], FORMLESS * max(q, interval)), of_steps)
+            value = max(min(deviation * shape[i], FORMLESS * max(q, interval)), rounding)
         elif is_sensors and typical > 0.0:
             # An error that neighbours share is not seen within a square: it shows as growth.
-            value = min(max(deviation * shape[i], of_steps), given[i])
+            value = min(max(deviation * shape[i], rounding), given[i])
         else:
             value = given[i]
         if i == MIDDLE:

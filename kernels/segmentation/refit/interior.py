@@ -9,9 +9,9 @@ import numpy as np
 
 from ..._jit.kernel import kernel
 from ...common.arrays import copy
-from ...common.bit_marks import list_marked, room_for_marks
+from ...common.bit_marks import room_for_marks
 from ...statistics.pixel_runs import add_row
-from ..model.moments import add, ray_of, residual
+from ..model.moments import add, pixel_ray, residual
 from ..model.planes import fit_planes
 from ..model.records import Found, Labels, as_view
 from .weights import weigh_rays
@@ -32,7 +32,7 @@ def find_edges(label, reason, missing, y, torn, edge):
     Parameters
     ----------
     label, reason, missing
-        See `inside_moments`.
+        See `interior_moments`.
     y : int
         From 0 on, one row after the other.
     torn : (2, W + 1) bool, changed
@@ -54,8 +54,8 @@ def find_edges(label, reason, missing, y, torn, edge):
         edge[x] = (why_a[x] == 0) & (above[x] | above[x + 1] | here[x] | here[x + 1])
 
 
-@kernel(inline=True)
-def inside_moments(label, reason, missing, inverse_depth, rays, moments, inside):
+@kernel()
+def interior_moments(label, reason, missing, inverse_depth, rays, moments, inside):
     """Moments of the pixels of each label whose eight neighbours, as far as they are measured, have it too.
 
     Parameters
@@ -73,15 +73,15 @@ def inside_moments(label, reason, missing, inverse_depth, rays, moments, inside)
     """
     height, width = label.shape
     torn = np.zeros((2, width + 1), np.bool_)
-    edge, words, columns = room_for_marks(width)  # those of a row's edges
-    of_row = edge[:width]
+    edge = np.empty(width, np.bool_)
     # Of the edges, in two sums each, of even columns and of odd ones: a pixel need not wait for the one beside it.
     sums = np.zeros((2, len(moments), 10))
     for y in range(height):
-        find_edges(label, reason, missing, y, torn, of_row)
-        for i in range(list_marked(edge, words, True, columns)):
-            x = columns[i]
-            u, v = ray_of(rays, y, x)
+        find_edges(label, reason, missing, y, torn, edge)
+        for x in range(width):
+            if not edge[x]:
+                continue
+            u, v = pixel_ray(rays, y, x)
             add(sums[x % 2, label[y, x] - 1], u, v, inverse_depth[y, x])
     for k in range(len(moments)):
         for j in range(10):
@@ -92,7 +92,7 @@ def inside_moments(label, reason, missing, inverse_depth, rays, moments, inside)
 
 @kernel()
 def runs_inside(label, reason, missing, moments, inside, found):
-    """Write the runs of the pixels that planes are fitted to, see `inside_moments`, to ``found``; returns how many.
+    """Write the runs of the pixels that planes are fitted to, see `interior_moments`, to ``found``; returns how many.
 
     ``found`` is that of `statistics.pixel_runs.add_row`, with room for as many runs as there are pixels.
     """
@@ -106,18 +106,18 @@ def runs_inside(label, reason, missing, moments, inside, found):
     number = 0
     for y in range(height):
         find_edges(label, reason, missing, y, torn, edge)
-        of = label[y]
+        row_labels = label[y]
         for x in range(width):
-            line[x] = 0 if edge[x] else of[x]
+            line[x] = 0 if edge[x] else row_labels[x]
         for x in range(width):
-            if edge[x] and whole[of[x]]:
-                line[x] = of[x]
+            if edge[x] and whole[row_labels[x]]:
+                line[x] = row_labels[x]
         number = add_row(line, y, change, words, columns, found, number)
     return number
 
 
 @kernel()
-def fit_inside(view, labels, missing, found):
+def fit_interior(view, labels, missing, found):
     """Fit the planes to the pixels that are surely theirs.
 
     Parameters
@@ -125,11 +125,11 @@ def fit_inside(view, labels, missing, found):
     view : View
     labels : Labels
     missing : uint8
-        See `inside_moments`.
+        See `interior_moments`.
     found : Found
         ``inside``, ``alpha``, ``rss`` and ``weighted`` are written.
     """
     view, found, labels = as_view(view), Found(*found), Labels(*labels)
-    inside_moments(labels.label, labels.reason, missing, view.inverse_depth, view.rays, found.moments, found.inside)
+    interior_moments(labels.label, labels.reason, missing, view.inverse_depth, view.rays, found.moments, found.inside)
     fit_planes(found.inside, found.alpha, found.rss)
     weigh_rays(labels.label, view.pyramid, found.inside, found.alpha, found.rss, found.weighted)

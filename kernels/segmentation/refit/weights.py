@@ -16,7 +16,7 @@ LEAST_WEIGHT = 0.1
 MOST = 25.0
 
 
-@kernel(inline=True)
+@kernel(inline="compiled")
 def leave_enough(m, weighted):
     """Whether the weighted mean of (u, v, 1)(u, v, 1)ᵀ is more than LEAST_WEIGHT of the equal one in all directions.
 
@@ -31,7 +31,7 @@ def leave_enough(m, weighted):
     return uu > 0.0 and uu * vv > uv * uv
 
 
-@kernel(inline=True)
+@kernel()
 def weigh_rays(label, pyramid, moments, alpha, rss, weighted):
     """Means of the rays of each plane's pixels, weighted by the variances that the residuals show.
 
@@ -52,7 +52,7 @@ def weigh_rays(label, pyramid, moments, alpha, rss, weighted):
     """
     height, width = label.shape
     first, columns = pyramid.offsets[1], pyramid.shapes[1, 1]
-    of_squares = pyramid.moments
+    square_moments = pyramid.moments
     mean, squares, pixels, total = np.zeros((4, len(moments)))
     for k in range(len(moments)):
         mean[k] = max(rss[k], 0.0) / moments[k, 0]
@@ -65,18 +65,18 @@ def weigh_rays(label, pyramid, moments, alpha, rss, weighted):
             if (a == 0) | (top[right] != a) | (bottom[left] != a) | (bottom[right] != a):
                 continue
             k, i = a - 1, first + row * columns + column
-            n = of_squares[0, i]
+            n = square_moments[0, i]
             if n == 0.0:
                 continue
-            more = min(max(misfit(of_squares, i, alpha, k), 0.0) / n, MOST * mean[k]) - mean[k]
+            more = min(max(misfit(square_moments, i, alpha, k), 0.0) / n, MOST * mean[k]) - mean[k]
             squares[k] += 1.0
             pixels[k] += n
             total[k] += more * n
-            weighted[k, 0] += more * of_squares[1, i]
-            weighted[k, 1] += more * of_squares[2, i]
-            weighted[k, 2] += more * of_squares[4, i]
-            weighted[k, 3] += more * of_squares[5, i]
-            weighted[k, 4] += more * of_squares[7, i]
+            weighted[k, 0] += more * square_moments[1, i]
+            weighted[k, 1] += more * square_moments[2, i]
+            weighted[k, 2] += more * square_moments[4, i]
+            weighted[k, 3] += more * square_moments[5, i]
+            weighted[k, 4] += more * square_moments[7, i]
     for k in range(len(moments)):
         m, weight = moments[k], mean[k] * pixels[k] + total[k]
         is_told = squares[k] >= FEWEST_SQUARES and weight > 0.0
