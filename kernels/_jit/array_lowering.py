@@ -16,8 +16,6 @@ import contextlib
 from collections.abc import Iterator
 from typing import Any
 
-from .replaced import replaced
-
 CACHE_LINE = 64
 """Bytes of a line of the cache."""
 
@@ -81,3 +79,20 @@ def _data_within(data_of: Any) -> Any:
         return builder.gep(allocated, [builder.sub(data, builder.ptrtoint(allocated, size))])
 
     return data_within
+
+
+@contextlib.contextmanager
+def replaced(owner: Any, name: str, replacement: Any) -> Iterator[None]:
+    """Have an attribute be another meanwhile, or, if it does not exist, do nothing: a later Numba may differ inside."""
+    if not hasattr(owner, name):
+        yield
+        return
+    is_own, before = name in vars(owner), getattr(owner, name)
+    setattr(owner, name, replacement)
+    try:
+        yield
+    finally:
+        if is_own:
+            setattr(owner, name, before)
+        else:
+            delattr(owner, name)

@@ -1,23 +1,23 @@
 """Compile in a third less time, by avoiding two costs of CPython.
 
-Numba makes millions of small objects that stay until it is done. Python searches them again and again for garbage, by
-default whenever there are 700 new ones (2000 in later versions).
+Numba makes millions of small objects that stay until it is done, and Python searches them again and again for garbage,
+by default whenever there are 700 new ones (2000 in later versions).
 
 And its calls nest hundreds deep. Python keeps their frames in chunks of 16 KB, and gives a chunk back to the system
-when its last frame is done. If a chunk ends just below a function that is called a million times, every call takes a
+when its last frame is done: if a chunk ends just below a function that is called a million times, every call takes a
 chunk and gives it back. A frame that needs more than that gets a larger chunk, with room for those above it.
 
 And a process may be forked meanwhile.
 """
 
 import contextlib
+import functools
 import gc
 import os
 from collections.abc import Callable
 from typing import Any
 
 from .array_lowering import as_kernels_need
-from .link_only import is_linked, linking_callees
 
 PATIENCE = 20_000
 """New objects before garbage is collected; takes 40 MB more while the largest kernels compile."""
@@ -46,13 +46,11 @@ with contextlib.suppress(ValueError, OverflowError):  # a later Python may limit
     _with_room.__code__ = _with_room.__code__.replace(co_stacksize=ROOM)
 
 
-def without_haste(dispatcher: Any) -> Callable[..., Any]:
+def without_haste(compiler: Callable[..., Any]) -> Callable[..., Any]:
     """Make garbage collection wait for a compiler, its frames have room, and arrays be translated as kernels need.
 
     Numba lets one thread at a time compile, and what a kernel calls is compiled while the kernel is.
     """
-
-    compiler, options = dispatcher._compiler.compile, dispatcher._compiler.targetoptions
 
     def compile_counted(*args: Any) -> Any:
         global compiled
@@ -60,20 +58,17 @@ def without_haste(dispatcher: Any) -> Callable[..., Any]:
         compiled += 1
         return result
 
+    @functools.wraps(compiler)
     def compile_alone(*args: Any) -> Any:
         global is_compiling
         if is_compiling:
-            options["no_cpython_wrapper"] = True
-            try:
-                return compile_counted(*args)
-            finally:
-                options["no_cpython_wrapper"] = False
+            return compile_counted(*args)
         before, *others = gc.get_threshold()
         is_compiling = True
         if 0 < before < PATIENCE:  # neither off nor already as patient
             gc.set_threshold(PATIENCE, *others)
         try:
-            with as_kernels_need(), linking_callees(dispatcher.py_func, args[0]):
+            with as_kernels_need():
                 return _with_room(compile_counted, *args)
         finally:
             is_compiling = False
@@ -82,34 +77,3 @@ def without_haste(dispatcher: Any) -> Callable[..., Any]:
                 gc.set_threshold(before, *others)
 
     return compile_alone
-
-
-def compile_for_python(dispatcher: Any) -> Callable[..., Any]:
-    """A dispatcher's ``compile`` that compiles anew what so far was only linked to other kernels."""
-    from numba.core import sigutils
-    from numba.core.compiler_lock import global_compiler_lock
-
-    compile_or_find = dispatcher.compile
-
-    def compile_with_code(signature: Any) -> Any:
-        with global_compiler_lock:
-            if not is_compiling:
-                types, _ = sigutils.normalize_signature(signature)
-                if is_linked(dispatcher.overloads.get(tuple(types))):
-                    del dispatcher.overloads[tuple(types)]
-            return compile_or_find(signature)
-
-    return compile_with_code
-
-
-def add_linked(dispatcher: Any) -> Callable[..., Any]:
-    """A dispatcher's ``add_overload`` that does not let Python call what is only linked."""
-    add = dispatcher.add_overload
-
-    def add_overload(compiled: Any) -> None:
-        if is_linked(compiled):
-            dispatcher.overloads[tuple(compiled.signature.args)] = compiled
-        else:
-            add(compiled)
-
-    return add_overload

@@ -17,8 +17,6 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
 
-from .link_only import is_linked
-
 OUTDATED = 7 * 24 * 3600.0
 """Seconds for which compiled kernels of other sources are kept."""
 _OF_SOURCES = re.compile(r"_[0-9a-f]{12}-\d+\.")  # in a file's name: a digest of them, and the line of the function
@@ -188,7 +186,5 @@ class Cache(FunctionCache):
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Save a compiled kernel, if that can be done: on a full disk it is compiled again by the next process."""
-        if is_linked(data):
-            return
         with contextlib.suppress(OSError):
             super().save_overload(sig, data)

@@ -20,7 +20,7 @@ import numpy as np
 from numba.core.options import DefaultOptions
 from numba.core.types import unliteral
 
-from .compiler_pauses import add_linked, compile_for_python, without_haste
+from .compiler_pauses import without_haste
 from .disk_cache import Cache
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -114,9 +114,7 @@ def kernel(
             return cast(Function, np.errstate(all="ignore")(function))
         dispatcher = numba.njit(**options)(function)
         with contextlib.suppress(AttributeError):  # a later Numba may differ inside: its own way then
-            dispatcher._compiler.compile = without_haste(dispatcher)
-            dispatcher.compile = compile_for_python(dispatcher)
-            dispatcher.add_overload = add_linked(dispatcher)
+            dispatcher._compiler.compile = without_haste(dispatcher._compiler.compile)
             dispatcher.get_call_template = _of_any_value(dispatcher.get_call_template)
         try:
             dispatcher._cache = Cache(function)

@@ -141,14 +141,16 @@ def as_depth_frame(depth: ArrayLike, camera: Units) -> DepthFrame:
     """
     array = plain_array("depth", depth)
     check_shape(depth, array, camera)
-    return _read(array, camera)
+    with np.errstate(all="ignore"):  # depths of any size are compared with what is likely
+        return _read(array, camera)
 
 
 def as_depth_frames(frames: NDArray[Any], camera: Units) -> DepthFrame:
     """The same for an array of frames (F, H, W), all at once: ``raw`` has its shape."""
     array = plain_array("depth", frames)
     check_shape(frames[0], array[0], camera)
-    return _read(array, camera)
+    with np.errstate(all="ignore"):  # depths of any size are compared with what is likely
+        return _read(array, camera)
 
 
 def check_unit(dtype: np.dtype[Any], camera: Units) -> None:
@@ -160,7 +162,6 @@ def check_unit(dtype: np.dtype[Any], camera: Units) -> None:
         )
 
 
-@np.errstate(all="ignore")  # depths of any size are compared with what is likely
 def _read(array: NDArray[Any], camera: Units) -> DepthFrame:
     """`as_depth_frame` of a frame, or of several, (..., H, W)."""
     kind = array.dtype.kind
