@@ -1,5 +1,7 @@
 """Points and meshes in PLY files, shared by the exports of tiles and of segments."""
 
+from __future__ import annotations
+
 import os
 
 import numpy as np

@@ -1,5 +1,7 @@
 """Depth frames in files: PNG, TIFF, PGM, PFM, NPY, NPZ."""
 
+from __future__ import annotations
+
 import math
 import os
 import re

@@ -191,7 +191,7 @@ def test_what_is_no_depth_frame_is_refused(depth, error, message):
         (lambda: rp.segment_quadtree(DEPTH, CAMERA, tile=32.0), TypeError, "whole number of pixels, got 32.0"),
         (lambda: rp.segment_quadtree(DEPTH, CAMERA, clusters="a"), TypeError, "clusters must be a whole number"),
         (lambda: rp.segment_quadtree(DEPTH, CAMERA, seed=-1), ValueError, "seed must be at least 0, got -1"),
-        (lambda: rp.merge(DEPTH, DEPTH), TypeError, "expected the planes of a fit, got ndarray"),
+        (lambda: rp.merge(DEPTH, DEPTH), TypeError, "expected the planes or surfaces of a fit, got ndarray"),
         (lambda: rp.plane_polygons(DEPTH), TypeError, "expected a Segmentation or LabelPlanes, got ndarray"),
         (lambda: rp.segment(DEPTH, CAMERA).tile_labels(0), ValueError, "at least 2 x 2 pixels, got 0"),
         (lambda: scenes.room().render(CAMERA).measure(holes="a"), TypeError, "holes as a number, got 'a'"),

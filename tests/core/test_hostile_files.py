@@ -32,7 +32,7 @@ MOST = 2**30  # bytes of a process
 LONG = zlib.compress(bytes(2 * 2**30), 9)  # 2 MB for two gigabytes
 
 READ = """
-import resource, sys, time
+import pathlib, re, resource, sys, time
 sys.path[:0] = sys.argv[3:]
 import numpy as np
 import rgbd_planes as rp
@@ -45,7 +45,12 @@ except ValueError as error:
     print(type(error).__name__, str(error).splitlines()[0][-300:])
 else:
     print("read")
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024, time.monotonic() - begin)
+status = pathlib.Path("/proc/self/status")
+if status.exists():  # of Linux, whose ru_maxrss begins with that of the process that started this one
+    peak = int(re.search(r"VmHWM:\\s*(\\d+) kB", status.read_text())[1])
+else:
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+print(peak * 1024, time.monotonic() - begin)
 """
 
 
