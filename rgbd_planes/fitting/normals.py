@@ -203,12 +203,12 @@ def _surfaces(
 def _typical(frame: DepthFrame, rounding: float, variance: npt.NDArray[np.float32]) -> float:
     """Median residual variance of a frame's windows, without those that are flat but for rounding; 0 if most are."""
     some = some_of(variance)
-    with np.errstate(all="ignore"):  # of pixels nearer than anything
+    with np.errstate(all="ignore"):  # of pixels nearer than anything; the median may overflow
         q = frame._replace(raw=some_of(frame.raw)).inverse_depth
         flat = rounding if frame.is_disparity else rounding * (q / frame.scale) ** 4
         uneven = some[some > np.maximum(flat, (1e-6 * q) ** 2)]  # which NaN is not
-    # In frames without noise the others are those across edges; of a sensor with coarse steps, those across steps.
-    return float(np.median(uneven)) if uneven.size > _EDGES * np.count_nonzero(np.isfinite(some)) else 0.0
+        # In frames without noise the others are those across edges; of a sensor with coarse steps, those across steps.
+        return float(np.median(uneven)) if uneven.size > _EDGES * np.count_nonzero(np.isfinite(some)) else 0.0
 
 
 def _check_window(window: int) -> int:

@@ -43,9 +43,17 @@ def test_a_camera_whose_pixel_sees_everything_is_refused(focal):
 
 
 @pytest.mark.parametrize("method", ["range_explicit", "range_implicit", "standard_explicit", "standard_pca"])
-@pytest.mark.parametrize("metres", [1e-40, 1e40])
+@pytest.mark.filterwarnings("ignore::UserWarning")  # such depths, and noise that is large beside their 1/Z, are doubted
+@pytest.mark.parametrize("metres", [1e-35, 1e35])
 def test_planes_that_no_camera_sees_are_degenerate(method, metres):
     camera = rp.Camera(32, 24, 28.0, 28.0, 16.0, 12.0, noise=rp.noise.kinect_v1())
     found = rp.fit_tiles(np.full((24, 32), metres), camera, 8, method)
     assert (found.status == rp.TileStatus.DEGENERATE).all()
     assert np.isnan(found.planes).all()
+
+
+@pytest.mark.parametrize("metres", [1e-40, 1e40])
+def test_depths_that_float32_does_not_hold_are_missing(metres):
+    found = rp.fit_tiles(np.full((24, 32), metres), rp.Camera(32, 24, 28.0, 28.0, 16.0, 12.0), 8)
+    assert (found.status == rp.TileStatus.TOO_FEW).all()
+    assert not found.valid_count.any()
