@@ -24,6 +24,9 @@ _CLEARLY, _FEWEST, _MANY_MORE = 2.0, 5, 10
 _ROUNDING = {8: 1e-9, 4: 3e-7}  # residuals below this share of a value tell nothing, by the bytes of a number
 # Of what is left of a flat window, neighbours differ by rounding or noise; a ball leaves what changes slowly.
 _UNLIKE = 0.2
+# No window is flat whose residual is a larger share: one pixel in a hundred that is less than half as far leaves 5 %
+# or more as a number, and more than twice that as inverse depth.
+_FLAT = 0.04
 _OF_FLOAT16 = 5e-4  # the same of floats of 16 bits, whose steps alone may be flatter as numbers
 _STEPS = 9  # between the different values of a window: an upright wall has one value in each column
 
@@ -67,7 +70,7 @@ def _reading(frame: DepthFrame, camera: Camera) -> str:
         for_it = (as_depth.share > (of_inverse if reading == "inverse" else least)) & (
             other.share * _CLEARLY < as_depth.share
         )
-        for_it &= (other.share < least) | (other.unlike > _UNLIKE)
+        for_it &= (other.share < least) | ((other.share < _FLAT) & (other.unlike > _UNLIKE))
         for_depth = (other.share > least) & (as_depth.share * _CLEARLY < other.share)
         if int(np.count_nonzero(for_it)) >= max(_FEWEST, _MANY_MORE * int(np.count_nonzero(for_depth))):
             return reading

@@ -63,6 +63,16 @@ def test_depth_and_what_does_not_tell_pass(camera):
 
 
 @cameras
+@pytest.mark.parametrize("share", [0.003, 0.03, 0.3])
+def test_outliers_pass(camera, share, rng):
+    """Near ones are farther off in inverse depth than as numbers."""
+    depth = scenes.room().render(camera).measure(quantise=False)
+    outliers = rng.random(depth.shape) < share
+    depth[outliers] = 1.0 / rng.uniform(0.2, 2.0, np.count_nonzero(outliers))
+    assert not says_so(depth, camera)
+
+
+@cameras
 def test_a_patch_that_is_flat_as_distances_is_not_enough(camera):
     """Beside a wall that is flat as depth."""
     wall = 1.0 / (0.5 + 0.1 * camera.tan_x + 0.05 * camera.tan_y)
