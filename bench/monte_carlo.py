@@ -28,8 +28,8 @@ def repeat(camera: rp.Camera, times: int) -> rp.Camera:
     width, height = times * camera.width, times * camera.height
     no_bend = (1e-300, 0.0, 0.0, 0.0)  # distorted, as far as the library knows, so that it uses the tables
     many = rp.Camera(width, height, width, height, 0.5 * width, 0.5 * height, no_bend, noise=camera.noise)
-    tables = tuple(np.tile(table, (times, times)) for table in (camera.tan_x, camera.tan_y))
-    many.__dict__["_tables"] = tables
+    tan_x, tan_y = (np.tile(table, (times, times)) for table in (camera.tan_x, camera.tan_y))
+    many.__dict__["_tables"] = tan_x, tan_y, None  # every pixel has a ray
     return many
 
 
