@@ -294,12 +294,11 @@ def test_squares_that_are_not_in_one_plane_show_no_shared_errors():
     one = np.ones(CAMERA.shape, np.int32)
     stripes = one + (np.arange(CAMERA.width, dtype=np.int32) // 4) % 2
     for label, expected in ((one, 3.0), (0 * one, 1.0), (stripes, 1.0)):
-        assert shared_by_planes(3.0, True, work.pyramid, label, work.inverse_depth) == expected
-        assert shared_by_planes(3.0, False, work.pyramid, label, work.inverse_depth) == 3.0  # nothing says otherwise
+        assert shared_by_planes(3.0, work.pyramid, label, work.inverse_depth) == expected
     one[np.random.default_rng(23).random(CAMERA.shape) < 0.3] = 0
-    assert shared_by_planes(3.0, True, work.pyramid, one, work.inverse_depth) == 1.0
+    assert shared_by_planes(3.0, work.pyramid, one, work.inverse_depth) == 1.0
     work.inverse_depth[one == 0] = 0.0  # missing pixels are no edge
-    assert shared_by_planes(3.0, True, work.pyramid, one, work.inverse_depth) == 3.0
+    assert shared_by_planes(3.0, work.pyramid, one, work.inverse_depth) == 3.0
 
 
 def test_plane_covariance_is_that_of_alpha_carried_over(room):

@@ -29,7 +29,7 @@ NOISES = {
 
 
 def camera_of(shape, noise, **options):
-    camera = rp.Camera(shape[1], shape[0], 300.0, 280.0, 0.4 * shape[1], 0.6 * shape[0], noise=noise)
+    camera = rp.Camera(shape[1], shape[0], 300.0, 280.0, 0.45 * shape[1], 0.6 * shape[0], noise=noise)
     return replace(camera, **options)
 
 
