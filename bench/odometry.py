@@ -2,7 +2,8 @@
 
 Real frames of a Kinect v1 with poses, and the rendered motions of `bench.tracking`. Constants were chosen on rendered
 scenes, and with figures of all 300 real frames in view: the 200 after the first 100 are no clean hold-out. The
-normalised error squared (NEES) of a pose is δᵀΣ⁻¹δ of its error relative to its keyframe. With six degrees of freedom its median is 5.3 if covariances are right, and 95 % of single ones are between 1.24 and 14.4.
+normalised error squared (NEES) of a pose is δᵀΣ⁻¹δ of its error relative to its keyframe. With six degrees
+of freedom its median is 5.3 if covariances are right, and 95 % of single ones are between 1.24 and 14.4.
 """
 
 import sys
