@@ -9,6 +9,8 @@ from matplotlib.figure import Figure
 from bench.plots import OTHERS, OURS, _plain
 from bench.readme import PAPER
 
+PAGE = PAPER.parents[1] / "robustness.md"
+
 
 def axes() -> Figure:
     """The camera's axes, a pixel's ray, and a plane with its normal and its distance."""
@@ -111,6 +113,30 @@ def paper(page: Path = PAPER) -> Figure:
     plot.set_yticks(places, names)
     plot.invert_yaxis()
     plot.set_xlabel("change in time, %: left is faster in range space")
+    plot.legend(frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    _plain(plot)
+    return figure
+
+
+def robustness(page: Path = PAGE) -> Figure:
+    """The page's table of damaged files: how many were read all the same, and how many refused."""
+    text = page.read_text(encoding="utf-8")
+    header = re.search(r"^\| (\| .*) \|\n\|---\|---:", text, re.MULTILINE)
+    counts = {
+        name: [int(number.replace(",", "")) for number in re.findall(r"[\d,]+", row)]
+        for name, row in re.findall(r"^\| (read all the same|refused in words) \|(.*)\|$", text, re.MULTILINE)
+    }
+    assert header is not None
+    formats = [name.strip(" `") for name in header[1].strip("| ").split(" | ")]
+    read, refused = counts.values()
+    figure = Figure((10.0, 3.2), layout="constrained")
+    plot = figure.add_subplot()
+    plot.barh(formats, refused, color=OURS, label="refused in words")
+    plot.barh(formats, read, left=refused, color=OTHERS, label="read all the same")
+    for place, number in enumerate(refused):
+        plot.text(number / 2, place, f"{number:,}" if number else "", ha="center", va="center", color="white")
+    plot.invert_yaxis()
+    plot.set_xlabel("damaged files of each format")
     plot.legend(frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
     _plain(plot)
     return figure

@@ -108,6 +108,7 @@ OTHERS: dict[str, tuple[str, Callable[[], None]]] = {
             ("depth_kinds", drawings.depth_kinds),
             ("inverse_depth", drawings.inverse_depth),
             ("paper", drawings.paper),
+            ("robustness", drawings.robustness),
         )
     },
 }

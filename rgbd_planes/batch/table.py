@@ -211,7 +211,10 @@ def write_about(path: Path, columns: Columns, about: str) -> None:
     """Write a Parquet file of a table's columns without rows, whose metadata is a text about the table."""
     import pyarrow as pa
 
-    Rows(columns).write(pa.OSFile(str(path), "wb"), 0, (), np.empty(0), about)
+    # Arrow opens files by names in Unicode only, and a folder may have another.
+    sink = pa.BufferOutputStream()
+    Rows(columns).write(sink, 0, (), np.empty(0), about)
+    path.write_bytes(sink.getvalue())
 
 
 def read_about(path: Path) -> str:
@@ -226,7 +229,8 @@ def read_about(path: Path) -> str:
     import pyarrow.parquet as pq
 
     try:
-        metadata = pq.read_schema(path).metadata or {}
+        with path.open("rb") as file:
+            metadata = pq.read_schema(file).metadata or {}
     except (OSError, pa.ArrowException) as error:
         raise ValueError(str(error)) from None
     about: bytes = metadata.get(KEY, b"")

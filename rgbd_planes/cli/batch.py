@@ -29,8 +29,9 @@ def batch(parser: argparse.ArgumentParser) -> Run:
 
     example: rgbd-planes batch rgbd_dataset_freiburg1_xyz --out planes.parquet
 
-    After an interruption the same command does the rest. A frame that cannot be read or fitted is reported and skipped,
-    and makes the exit status 1. The same command tries it again if its file has changed, or with --retry.
+    After an interruption the same command does the rest. A frame that cannot be
+    read or fitted is reported and skipped, and makes the exit status 1. The same
+    command tries it again if its file has changed, or with --retry.
     """
     parser.add_argument("sequence", type=Path, help="data set, folder of depth images, or recording")
     parser.add_argument(

@@ -30,8 +30,9 @@ def view(parser: argparse.ArgumentParser) -> Run:
     example: rgbd-planes view rgbd_dataset_freiburg1_xyz
 
     The camera's path is the data set's, or else estimated from planes and tiles.
-    Needs pip install "rgbd-planes[viewer]". Ctrl-C ends it. On another machine than the browser, forward the
-    two ports: ssh -L 9090:localhost:9090 -L 9876:localhost:9876 robot
+    Needs pip install "rgbd-planes[viewer]". Ctrl-C ends it. On another machine
+    than the browser, forward the two ports:
+    ssh -L 9090:localhost:9090 -L 9876:localhost:9876 robot
     """
     parser.add_argument(
         "path", type=Path, help="depth image, which needs --camera; or data set, folder of depth images, or recording"

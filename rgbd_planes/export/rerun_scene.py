@@ -57,8 +57,8 @@ class PlaneColours:
         self._colours = np.zeros((0, 3))
 
     def classes(self, ids: NDArray[np.int32]) -> NDArray[np.int32]:
-        """(...) int32: the class of each id, 1 to 65535."""
-        classes = (ids - 1) % _MOST_CLASSES + 1
+        """(...) int32: the class of each id, 1 to 65535; 0 where there is none."""
+        classes = np.where(ids > 0, (ids - 1) % _MOST_CLASSES + 1, 0)
         self.most = max(self.most, int(classes.max(initial=0)))
         if self.most > len(self._colours):
             self._colours = label_colours(2 * self.most)
@@ -77,9 +77,7 @@ class PlaneColours:
 
 def log_labels(rr: Any, stream: Any, labels: NDArray[np.int32], colours: PlaneColours) -> None:
     """Log ``camera/planes``: the class of each pixel's plane, from its id."""
-    stream.log(
-        "camera/planes", rr.SegmentationImage(np.where(labels > 0, colours.classes(labels), 0).astype(np.uint16))
-    )
+    stream.log("camera/planes", rr.SegmentationImage(colours.classes(labels).astype(np.uint16)))
 
 
 def log_outlines(rr: Any, stream: Any, found: Segmentation, ids: NDArray[np.int32], colours: PlaneColours) -> None:
@@ -97,7 +95,7 @@ def log_outlines(rr: Any, stream: Any, found: Segmentation, ids: NDArray[np.int3
 
 def coloured(labels: NDArray[np.int32], missing: NDArray[np.bool_], colours: PlaneColours) -> NDArray[np.uint8]:
     """(H, W, 3) uint8: pixels in the colours of their ids; dark where there is none, light where depth is missing."""
-    rgb = colours.class_colours(np.where(labels > 0, colours.classes(labels), 0))
+    rgb = colours.class_colours(colours.classes(labels))
     rgb[missing & (labels == 0)] = MISSING
     return np.asarray(np.rint(255.0 * rgb), np.uint8)
 

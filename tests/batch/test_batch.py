@@ -130,6 +130,7 @@ def test_a_name_that_is_no_unicode_is_in_the_table(tmp_path):
     assert cli.main(["batch", str(root), "--camera", str(_saved_camera(tmp_path)), "--out", str(out)]) == 0
     with open(out / "part-000000.parquet", "rb") as file:
         assert parquet.read_table(file).num_rows > 0
+    assert rp.fit_sequence(rp.open_sequence(root, CAMERA), out).resumed == 2
 
 
 def _saved_camera(folder):
@@ -296,7 +297,7 @@ def test_integers_without_a_unit_are_refused_before_a_table_is_begun(recording, 
     replace(CAMERA, depth_scale=None).save(recording / "camera.json")
     assert cli.main(["batch", str(recording), "--out", str(tmp_path / "out")]) == 2
     err = capsys.readouterr().err
-    assert err.startswith("rgbd-planes batch: depth/0.png: expected a camera with depth_scale")
+    assert err.startswith("rgbd-planes batch: depth/0.png: expected a camera with --depth-scale")
     assert err.count("\n") == 1
     assert not (tmp_path / "out").exists()
     (recording / "depth" / "0.png").write_bytes(b"")  # a damaged one does not tell
@@ -972,7 +973,7 @@ def test_what_is_wrong_with_many_frames_is_said_once(recording, tmp_path, capsys
 
 
 def test_frames_of_another_size_are_an_error_before_a_table_is_begun(recording, tmp_path, capsys):
-    replace(CAMERA, width=40, height=30).save(tmp_path / "half.json")
+    CAMERA.resized(40, 30).save(tmp_path / "half.json")
     out = tmp_path / "t"
     arguments = ["batch", str(recording), "--out", str(out)]
     assert cli.main([*arguments, "--camera", str(tmp_path / "half.json")]) == 2

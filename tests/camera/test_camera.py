@@ -386,8 +386,8 @@ cameras = st.builds(
     Camera,
     width=st.integers(1, 5000),
     height=st.integers(1, 5000),
-    fx=numbers.filter(lambda focal: abs(focal) >= 1e-8),
-    fy=numbers.filter(lambda focal: abs(focal) >= 1e-8),
+    fx=numbers.filter(lambda focal: abs(focal) >= 0.01),
+    fy=numbers.filter(lambda focal: abs(focal) >= 0.01),
     cx=numbers,
     cy=numbers,
     distortion=st.sampled_from([(), KINECT[:4], KINECT, RATIONAL]),
@@ -397,7 +397,7 @@ cameras = st.builds(
 )
 
 
-@pytest.mark.filterwarnings("ignore:with f[xy] =:UserWarning", "ignore:c[xy] =:UserWarning")  # that nobody has
+@pytest.mark.filterwarnings("ignore:(with )?f[xy] =:UserWarning", "ignore:c[xy] =:UserWarning")  # that nobody has
 @given(camera=cameras)
 def test_json_gives_the_same_camera_back(camera):
     for lens in (camera, replace(camera, distortion=camera.distortion[:4], distortion_model="fisheye")):

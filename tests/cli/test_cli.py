@@ -544,9 +544,9 @@ def test_defaults_are_those_that_the_help_says():
         command(parser)
         for action in parser._actions:
             if found := re.search(r"\(([\d.]+)\)$", action.help or ""):
-                assert str(np.ravel(action.default)[0]) == found[1], (command.__name__, action.dest)
+                assert float(np.ravel(action.default)[0]) == float(found[1]), (command.__name__, action.dest)
                 said.append(action.dest)
-    assert set(said) == {"tile", "max_missing", "min_size", "count", "window", "seed"}
+    assert set(said) == {"tile", "max_missing", "min_size", "count", "window", "seed", "mask_threshold"}
 
 
 def run_module(*arguments, **options):

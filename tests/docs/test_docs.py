@@ -92,7 +92,7 @@ def test_the_code_blocks_run(page, files, monkeypatch):
             pytest.importorskip(library)
     namespace = {"__name__": "__main__"}
     for language, code in blocks(page):
-        assert language in ("python", "bash", "text"), f"a block of {language} is not run"
+        assert language in ("python", "bash", "text", "yaml"), f"a block of {language} is not run"
         if language == "python":
             with contextlib.redirect_stdout(io.StringIO()):
                 exec(compile(code, str(page), "exec"), namespace)
@@ -101,6 +101,8 @@ def test_the_code_blocks_run(page, files, monkeypatch):
                 program, *arguments = shlex.split(line)
                 assert program == "rgbd-planes"
                 assert cli.main(arguments) == 0
+        elif language == "yaml":
+            assert isinstance(pytest.importorskip("yaml").safe_load(code), dict)
 
 
 def printed(page, number, files, monkeypatch):

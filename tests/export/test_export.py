@@ -512,7 +512,7 @@ def test_points_without_holes_are_dense():
     depth = np.ones((60, 80))
     assert export.to_ros_points(depth, CAMERA)["is_dense"] is True
     with np.errstate(all="raise"), pytest.warns(UserWarning, match="beyond 50 m"):
-        export.to_ros_points(np.full((60, 80), 3.3e38), replace(CAMERA, fx=20.0, distortion=()))
+        export.to_ros_points(np.full((60, 80), 3.3e38), replace(CAMERA, fx=20.0, fy=20.0, distortion=()))
     depth[2, 3] = 0.0
     assert export.to_ros_points(depth, CAMERA)["is_dense"] is False
 

@@ -704,7 +704,9 @@ def test_rosbag_says_what_is_wrong(tmp_path, frames, monkeypatch):
     with pytest.raises(ValueError, match=r"truncated image: 96 bytes for 6 rows of 14 bytes, 8 pixels"):
         sequence[2]
     write_bag(tmp_path / "b.bag", {"/colour": [(1, colour[0])], "/camera_info": [(1, info)]})
-    with pytest.raises(ValueError, match=r"depth is in none; there is .*/colour \(sensor_msgs/msg/Image\)"):
+    with pytest.raises(
+        ValueError, match=r"depth is in none; there is .*/colour \(sensor_msgs/msg/Image, bgr8, which is not read\)"
+    ):
         rp.open_sequence(tmp_path / "b.bag")
     with pytest.raises(FileNotFoundError, match=r"gone\.bag: there is no such file"):
         sequences.rosbag(tmp_path / "gone.bag")
@@ -979,8 +981,8 @@ def test_an_image_of_a_bag_that_is_no_depth(tmp_path, frames):
     Image.fromarray(np.zeros((6, 8, 3), np.uint8)).save(png, "PNG")
     colour = bytes(12) + png.getvalue()
     for format, data, message in (
-        ("8UC1; compressedDepth png", colour, "expected depth compressed as PNG, 16UC1 or 32FC1, got '8UC1; comp"),
-        ("16UC1; compressedDepth RVL", colour, "expected depth compressed as PNG, 16UC1 or 32FC1, got '16UC1; comp"),
+        ("8UC1; compressedDepth png", colour, "expected depth compressed as PNG or RVL, 16UC1 or 32FC1, got '8U"),
+        ("16UC1; compressedDepth RVL", colour, r"expected at most \d+ pixels"),
         ("16UC1; compressedDepth png", colour, r"expected a depth image of one channel, got shape \(6, 8, 3\)"),
         ("16UC1; compressedDepth png", colour[:5], "damaged compressed image"),
     ):
