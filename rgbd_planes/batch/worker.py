@@ -138,7 +138,8 @@ class Part(NamedTuple):
             with path.open("rb") as file:
                 if not is_sealed(file):
                     return None
-            about = json.loads(pyarrow.parquet.read_schema(path).metadata[KEY])
+            with open(path, "rb") as file:  # Arrow opens names in Unicode only
+                about = json.loads(pyarrow.parquet.read_schema(file).metadata[KEY])
             return cls(b"", about["status"], tuple(Problem(*p) for p in about["problems"]), about["files"], {}, {})
         except (OSError, pyarrow.ArrowException, KeyError, TypeError, ValueError):
             return None

@@ -546,7 +546,7 @@ def test_defaults_are_those_that_the_help_says():
             if found := re.search(r"\(([\d.]+)\)$", action.help or ""):
                 assert float(np.ravel(action.default)[0]) == float(found[1]), (command.__name__, action.dest)
                 said.append(action.dest)
-    assert set(said) == {"tile", "max_missing", "min_size", "count", "window", "seed", "mask_threshold"}
+    assert set(said) == {"tile", "max_missing", "min_size", "count", "window", "seed", "mask_threshold", "every"}
 
 
 def run_module(*arguments, **options):
