@@ -47,6 +47,7 @@ from rgbd_planes.kernels.segmentation.model.records import (
     View,
     plain,
 )
+from rgbd_planes.kernels.segmentation.noise.correlation import shared_by_planes
 from rgbd_planes.kernels.segmentation.noise.estimate import nearest_surface
 from rgbd_planes.kernels.segmentation.noise.frame_noise import ENTRIES, find_noise
 from rgbd_planes.kernels.segmentation.refit.interior import fit_interior
@@ -151,15 +152,17 @@ def _calls(dtype: str, is_disparity: bool) -> list[Call]:
 
 
 def _more_calls(dtype: str) -> list[Call]:
-    """The kernels that only some frames need: those with regions that are several faces."""
+    """The kernels that only some frames need: regions that are several faces, noise that neighbours share."""
     calls = dict(_calls(dtype, False))
     view, regions, _, contacts, *_ = calls[find_curved]
+    labels, pyramid = calls[fit_interior][1], calls[nearest_surface][0]
     moments, _, number, _, _, flags, *_ = calls[find_doubtful]
     return [
         (keep_turned, (view, regions, flags, flags)),
         (keep_faces, (view, regions, moments, number, flags, flags)),
         (keep_pairs_inside, (contacts, 1, number, flags)),
         (take_parts, (number, number, flags, moments, moments)),
+        (shared_by_planes, (1.0, pyramid, labels[0], view[0])),
     ]
 
 

@@ -162,7 +162,7 @@ def outcome(use, seed):
 
 def _span(depth):
     """The largest depth over the smallest. Beyond 1e20 rounding decides on which side of the camera a plane lies."""
-    values = np.abs(np.asarray(depth, np.float64).ravel())
-    values = values[np.isfinite(values) & (values > 0.0)]
-    with np.errstate(over="ignore"):
+    with np.errstate(all="ignore"):
+        values = np.abs(np.asarray(depth, np.float64).ravel())
+        values = values[np.isfinite(values) & (values > 0.0)]
         return values.max() / values.min() if len(values) else 1.0
