@@ -94,9 +94,9 @@ class Camera:
     Warns
     -----
     UserWarning
-        The image reaches farther than 75 degrees from the optical axis, and not through a fisheye; the principal point
-        is farther from the middle than 12 % of the image's side; or fx is 1.5 times fy, or the other way round. Most
-        likely these are intrinsics in other units or order, or of another image size.
+        The intrinsics are most likely in other units or order, or of another image size. The image reaches farther
+        than 75 degrees from the optical axis, and the lens is no fisheye. Or the principal point is farther from the
+        middle than 12 % of the image's side. Or fx is 1.5 times fy, or the other way round.
     UserWarning
         When rays are first asked for: the lens model folds in the corners, whose pixels are missing in every frame.
 
@@ -235,7 +235,7 @@ class Camera:
     def tan_x(self) -> Floats:
         """(H, W) float64, C-contiguous, read-only: tanθx of each pixel's ray (tan_x, tan_y, 1).
 
-        Where a pixel has no ray, that of the nearest pixel with one; of a fisheye, one at the border of what it sees.
+        A pixel without a ray has that of the nearest pixel with one. A fisheye's has one at the border of its view.
 
         Raises
         ------
@@ -246,7 +246,7 @@ class Camera:
 
     @property
     def tan_y(self) -> Floats:
-        """(H, W) float64, C-contiguous, read-only: tanθy of each pixel's ray; see `tan_x`."""
+        """(H, W) float64, C-contiguous, read-only: tanθy of each pixel's ray (tan_x, tan_y, 1)."""
         return self._tables[1]
 
     @property
@@ -689,7 +689,7 @@ class Camera:
         camera_matrix : (3, 3) array_like
             [[fx, 0, cx], [0, fy, cy], [0, 0, 1]].
         distortion : array_like of 0, 4, 5 or 8 numbers, or None
-            As `cv2.calibrateCamera` returns it, of any shape; longer ones only with zeros from the ninth on.
+            k1 k2 p1 p2 k3 [k4 k5 k6] of `cv2.calibrateCamera`, of any shape. From the ninth on all must be 0.
         size : (width, height)
         distortion_model : {"brown_conrady", "fisheye"}
             "fisheye" for what `cv2.fisheye.calibrate` returns.
@@ -726,9 +726,9 @@ class Camera:
         Raises
         ------
         TypeError, ValueError
-            Something required is missing or invalid; or the distortion model is none of plumb_bob, rational_polynomial
-            and equidistant, with coefficients other than zero: if all are zero, the lens is taken for a pinhole, unless
-            it is equidistant, which bends rays even then.
+            Something required is missing or invalid. Or the distortion model is none of plumb_bob, rational_polynomial
+            and equidistant, and has coefficients other than zero. A lens whose coefficients are all zero is a pinhole,
+            unless it is equidistant, which bends rays even then.
 
         Notes
         -----

@@ -22,7 +22,7 @@ class Frame:
     Attributes
     ----------
     depth : (H, W) array
-        As stored; see `fit_tiles`.
+        As stored: integers in the camera's ``depth_scale``, floats in metres, or disparities.
     camera : Camera
     timestamp : float
         Seconds on the recording's own clock; NaN where it states none.

@@ -59,7 +59,7 @@ class PlaneMap:
         Parameters
         ----------
         pose : CameraPose
-            Of `Odometry`. Planes of fewer than 500 pixels are left out.
+            What `Odometry` gives for a frame. Planes of fewer than 500 pixels are left out.
 
         Raises
         ------

@@ -31,8 +31,8 @@ class CameraPose:
     T_reference_camera : (4, 4) float64
         Camera to that keyframe's camera.
     covariance : (6, 6) float64
-        Of δ. In directions that nothing observes it is that of the prior: the camera does not move along them, and its
-        motion changes by 1 cm and 1 degree from each frame to the next, since the reference.
+        Of δ. In directions that nothing observes it is the prior's: the camera does not move along them. Its motion
+        changes by 1 cm and 1 degree from each frame to the next, since the reference.
     information : (6, 6) float64
         Of δ from what was seen alone, without the prior: its rank is 6 less the number of unobservable directions.
     unobservable : (k, 6) float64

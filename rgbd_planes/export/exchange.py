@@ -24,7 +24,7 @@ def json_ready(message: Any) -> Any:
     Parameters
     ----------
     message : dict
-        As `to_ros_points` and the others return it.
+        A ROS message as nested dicts and lists, from any ``to_ros_`` function.
 
     Returns
     -------

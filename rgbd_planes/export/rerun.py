@@ -72,11 +72,14 @@ def record(
 
     Notes
     -----
-    Entities: ``camera`` (pinhole and depth image, in metres; the distortion of an ordinary lens is not shown, and a
-    fisheye has ``points`` in place of the pinhole; where fx or fy is negative, x is to the right of the image all the
-    same, and y down),
-    ``planes/outlines`` and ``planes/normals`` (a tile's polygon and, from its middle, its normal, of the
-    length of the tile; red right, green up, blue towards the camera), ``fitted`` (number of fitted tiles).
+    Entities:
+
+    - ``camera``: pinhole and depth image, in metres. An ordinary lens is shown without its distortion. A fisheye has
+      ``points`` in place of the pinhole. x is to the right of the image and y down, even where fx or fy is negative.
+    - ``planes/outlines``: each tile's polygon.
+    - ``planes/normals``: from its middle its normal, as long as the tile. Red is right, green up, blue to the camera.
+    - ``fitted``: the number of fitted tiles.
+
     Timelines: ``frame``, and ``time`` where the sequence has times.
     """
 
@@ -128,10 +131,14 @@ def record_segments(sequence: FrameSequence, path: str | os.PathLike[str], *, mi
 
     Notes
     -----
-    Entities: ``camera`` (as in `record`), ``camera/planes`` (the id of each pixel's plane, as
-    `segment_sequence` gives it, 0 for none; a frame of another size than the one before has new ids),
-    ``planes/outlines`` (outlines and holes, in the colour of the plane's id), ``found`` (number of planes).
-    Timelines as in `record`.
+    Entities:
+
+    - ``camera``: pinhole and depth image, in metres.
+    - ``camera/planes``: the id of each pixel's plane, 0 for none. A frame of another size has new ids.
+    - ``planes/outlines``: outlines and holes, in the colour of the plane's id.
+    - ``found``: the number of planes.
+
+    Timelines: ``frame``, and ``time`` where the sequence has times.
     """
     tracker = PlaneTracker()
     colours = PlaneColours()

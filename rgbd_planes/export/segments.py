@@ -46,10 +46,10 @@ def to_dict(segmentation: Segmented, polygons: Sequence[PlanePolygon] | None = N
     Returns
     -------
     dict
-        camera (`Camera.to_dict`), sigma, and planes, by label: for each its label, plane [nx, ny, nz, d], covariance of
-        these (4 x 4), size in pixels, rmse in 1/m, rmse_metric in metres, None for a plane without pixels. Of
-        `LabelPlanes` those that have a plane, with their status, rmse in the units of the method, which takes the place
-        of sigma, and only if the camera has a noise model p_value and covariance.
+        camera (`Camera.to_dict`), sigma, and planes, by label. Each plane has its label, plane [nx, ny, nz, d],
+        covariance of these (4 x 4), size in pixels, rmse in 1/m and rmse_metric in metres. Numbers of a plane without
+        pixels are None. Of `LabelPlanes` those with a plane are there, with their status. The method takes the place
+        of sigma then, and rmse is in its units. p_value and covariance need a noise model.
 
     Raises
     ------
@@ -174,7 +174,7 @@ def write_polygons_ply(path: str | os.PathLike[str], polygons: Sequence[PlanePol
     ----------
     path : path
     polygons : sequence of PlanePolygon
-        Of `plane_polygons`.
+        Outlines in camera or world coordinates, in metres, from `plane_polygons`.
     """
     points, normals, colours = _mesh(polygons)
     faces = np.arange(len(points)).reshape(-1, 3)
@@ -187,7 +187,7 @@ def to_open3d(polygons: Sequence[PlanePolygon]) -> open3d.geometry.TriangleMesh:
     Parameters
     ----------
     polygons : sequence of PlanePolygon
-        Of `plane_polygons`.
+        Outlines in camera or world coordinates, in metres, from `plane_polygons`.
 
     Raises
     ------

@@ -40,9 +40,9 @@ def tile_polygons(tiles: TilePlanes) -> Floats:
     Returns
     -------
     (N, 4, 3) float64
-        X, Y, Z in metres where the rays through the corners of the tile's corner pixels meet its plane,
-        counter-clockwise about its normal: from the top left corner down, where the camera's fx and fy have the same
-        sign. One for each tile that is fitted and that these rays all meet, row by row; see `exported`.
+        X, Y, Z in metres, where the rays through the tile's outer pixel corners meet its plane. Corners run
+        counter-clockwise about the normal: from the top left one down, where fx and fy have the same sign. Tiles come
+        row by row. A tile without a plane is left out, and so is one whose plane some of these rays do not meet.
     """
     return polygons_of(tiles)[0]
 
@@ -87,10 +87,10 @@ def to_dict(tiles: TilePlanes) -> dict[str, Any]:
     Returns
     -------
     dict
-        camera (`Camera.to_dict`), method, tile [height, width], and planes: for each tile that has one, its row,
-        column, status, plane [nx, ny, nz, d], rmse, rmse_metric, valid_count and polygon, four points; if the camera
-        has a noise model, also p_value and the covariance of the plane (4 x 4). None for a residual that is not known,
-        and for a polygon whose plane some ray of its corners does not meet.
+        camera (`Camera.to_dict`), method, tile [height, width], and planes. Each tile that has a plane has its row,
+        column, status, plane [nx, ny, nz, d], rmse, rmse_metric, valid_count and polygon, four points. With a noise
+        model it has p_value and the covariance of the plane (4 x 4), too. A residual that is not known is None. So is
+        a polygon whose plane some ray of its corners does not meet.
 
     Raises
     ------

@@ -53,7 +53,7 @@ def to_ros_odometry(
     child_frame_id : str
         Name of the camera's optical frame.
     stamp : float, or a message's stamp, optional
-        As `to_ros_planes` takes it; the frame's own time by default.
+        Seconds, or a ROS stamp, which is kept exactly. By default the frame's own time.
 
     Returns
     -------

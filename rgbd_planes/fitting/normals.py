@@ -44,9 +44,9 @@ def normals(
     window : int
         Side of the square window in pixels: odd, 3 to 31.
     avoid_edges : bool
-        Keep normals from bleeding over steps and creases. Where an edge runs through a pixel's window, or too much of
-        it is missing, one of eight windows beside it is used, which still hold the pixel: the one with the smallest
-        residual. It takes about four times as long.
+        Keep normals from bleeding over steps and creases. An edge may run through a pixel's window, or too much of it
+        may be missing. Then the best of eight windows beside it is used, which still hold the pixel: the one with the
+        smallest residual. It takes about four times as long.
     max_missing : float
         Share of the window's pixels inside the frame above which there is no normal; at 1 any pixels that determine a
         plane will do.

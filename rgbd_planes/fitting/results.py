@@ -253,7 +253,7 @@ class PlacedFits(PlaneFits):
         return fits_html(self)
 
     def plot(self, depth: npt.ArrayLike | None = None, figure: Figure | None = None) -> Figure:
-        """Draw the depth, the normals as colours and the parts by status; see `plotting.tiles.plot_fits`.
+        """Draw the depth, the normals as colours and the parts by status.
 
         Parameters
         ----------

@@ -275,9 +275,9 @@ def fit_tiles(
           and ends before 1 m, as a picture does.
         - The unit of the ``depth_range``. It begins beyond 50 m and leaves nothing of the frame, which lies between
           those numbers of millimetres.
-        - A number that means missing, but counts as depth in more than one pixel of a hundred. That is 65535 or 32767,
-          the largest of 16 bits; a disparity of 0 or less; or a depth beyond 50 m and more than three times as far as
-          all else in the frame, such as the 1e10 of a renderer's sky.
+        - A number that means missing, but counts as depth in more than one pixel of a hundred. It is 65535 or 32767,
+          the largest of 16 bits, or a disparity of 0 or less. Or it is beyond 50 m and more than three times as far as
+          all else, such as the 1e10 of a renderer's sky.
         - The direction of z. All depths are negative.
         - The unit of the camera's noise model. It says more than a fifth of 1/Z. A `TileFitter` asks one frame for it.
 

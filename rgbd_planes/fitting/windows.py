@@ -151,10 +151,10 @@ def fit_windows(
     Notes
     -----
     Fits by tables differ from those of `fit_tiles` only by float64's rounding, which acts on differences of sums over
-    the whole frame. So small windows of large frames may be DEGENERATE. An example is a wall at 8 m with the noise of a
-    Kinect v1, seen with a field of view of 63 degrees. By the standard methods that happens to all windows of 3x3 and
-    4x4 pixels and some of 8x8 in 3840 x 2160, to at most half of 3x3 in 1920 x 1080, and to none in 640 x 480. In range
-    space it happens to some of 3x3 in 3840 x 2160, if half of the frame is nearer than 10 cm.
+    the whole frame. So small windows of large frames may be DEGENERATE. The standard methods
+    show it on a wall at 8 m with the noise of a Kinect v1 and a field of view of 63 degrees. In 3840 x 2160 all windows
+    of 3x3 and 4x4 pixels are DEGENERATE, and some of 8x8. In 1920 x 1080 at most half of 3x3 are, in 640 x 480 none. In
+    range space some of 3x3 are in 3840 x 2160, if half of the frame is nearer than 10 cm.
 
     Simulators give depths of hundreds of kilometres for none. By the standard methods they make all windows inexact:
     one of 1000 km by tenths of a degree. Beyond that nothing is left of the others, and they get DEGENERATE. In range

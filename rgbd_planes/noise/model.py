@@ -213,7 +213,7 @@ class NoiseModel:
         return np.asarray(variance / 12.0)
 
     def sigma_depth(self, depth: ArrayLike, tan_x: ArrayLike = 0.0, tan_y: ArrayLike = 0.0) -> Floats:
-        """Standard deviation of one pixel's depth in metres at depths in metres, σZ = σq·Z²: see `sigma`.
+        """Standard deviation of one pixel's depth in metres at depths in metres: σZ = σq·Z².
 
         NaN where a depth is not positive, as where nothing is measured.
         """

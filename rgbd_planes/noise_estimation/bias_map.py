@@ -17,7 +17,7 @@ _STEPS = 300
 
 
 def flatness(frames: Sequence[Any], large: Sequence[LargePlanes], camera: Camera) -> tuple[Floats, Indices, Floats]:
-    """The bias over the image, from how many pixels each cell's is, and its deviation by chance: see `NoiseEvidence`.
+    """The bias over the image, from how many pixels each cell's is, and its deviation by chance.
 
     A plane that covers a part of the image absorbs the part of the bias that is planar there. So bias and planes are
     found together, as the least squares of q = α·m + bias(cell) over all pixels of all large planes. A bias is expected

@@ -97,7 +97,7 @@ def estimate_noise(
     camera : Camera
         Its ``noise`` is ignored.
     num_threads : int, optional
-        Threads at most, as in `fit_tiles`. The result does not depend on it.
+        Threads at most. The result is the same for any number.
 
     Returns
     -------
@@ -114,8 +114,9 @@ def estimate_noise(
     Warns
     -----
     UserWarning
-        As `fit_tiles`. Or the windows taken for flat differ so much that they may hold edges or outliers: do not rely
-        on the model then. Or surfaces without noise are bent when taken as depth, and flat as distances along the ray.
+        Something in the frames is most likely not meant as it is, such as their unit. Or windows that count as flat
+        differ so much that they may hold edges or outliers: do not rely on the model then. Or surfaces without noise
+        are bent as depth, and flat as distances along the ray.
 
     Notes
     -----

@@ -76,7 +76,7 @@ class NoiseEvidence:
         return percent(np.mean(self.p_values < 0.01))
 
     def plot(self, figure: "Figure | None" = None) -> "Figure":
-        """Draw the fit and the maps; see `plotting.noise.plot_evidence`.
+        """Draw the noise by depth, the reach of errors, p-values, and maps of the noise and the bias.
 
         Parameters
         ----------

@@ -33,7 +33,7 @@ def normal_colours(normals: Floats) -> Floats:
     Parameters
     ----------
     normals : (..., 3) float64
-        x to the right of the image, y down, z away from the camera: see `in_image`. NaN where there is none.
+        x to the right of the image, y down, z away from the camera. NaN where there is none.
 
     Returns
     -------

@@ -56,19 +56,17 @@ def segment(
     Parameters
     ----------
     depth : (H, W) array_like
-        Integers in the camera's raw units, or floats; see `fit_tiles`.
+        Integers in the camera's ``depth_scale``, floats in metres, or disparities of a camera with ``disparity``.
     camera : Camera
     noise : float, callable or noise model, optional
-        Standard deviation of inverse depth in 1/m, a function that gives it for an array of inverse depths, or an
-        object with such a function as ``sigma``: a noise model. It counts as no less than 0.04 % of the inverse depth,
-        and the lateral error that the frame shows is added. For a model, its own ``lateral`` error, in pixels, is
-        taken, if it has one; and where the frame's squares of 8 pixels show less noise, since neighbours share their
-        errors, that counts. Covariances are by the model alone, unless neighbours share errors of which it does not
-        know: see `Segmentation.alpha_covariance`. By default ``camera.noise``; without either, noise is estimated from
-        the frame: the same in 1/Z at all depths, or in Z if the frame shows that plainly.
+        Standard deviation of inverse depth in 1/m, a function of inverse depths that gives it, or a noise model. By
+        default it is ``camera.noise``. Without either it is estimated from the frame: the same in 1/Z at all depths,
+        or in Z where the frame shows that plainly. It counts as no less than 0.04 % of the inverse depth. The lateral
+        error, in pixels, is the model's own, or what the frame shows. Where neighbours share errors, squares of 8
+        pixels may show less noise than a model says: then that counts.
     min_size : int
-        Pixels that a plane must have, at least 3. Planes of fewer are left out: from 60 on, that does not change the
-        fits of the others, and takes no more from their labels than some strays, less than a pixel in fifty.
+        Pixels that a plane must have, at least 3. Planes of fewer are left out. From 60 on that changes no other fit,
+        and less than one in fifty of the others' pixels.
 
     Returns
     -------
@@ -79,23 +77,25 @@ def segment(
     Raises
     ------
     TypeError, ValueError
-        As `fit_tiles`, and for an invalid `noise` or `min_size`.
+        An argument cannot be used: the message says what was expected and what came.
 
     Warns
     -----
     UserWarning
-        As `fit_tiles`. Or the frame is several times as rough as `noise`, and less than half of it is on planes: most
-        likely that is the noise of another sensor. Or `noise` is more than a fifth of 1/Z: most likely in other units.
-        Or its surfaces, without noise, are bent when taken as depth, and flat as distances along the ray.
+        Something in the frame is most likely not meant as it is, such as its unit: `fit_tiles` lists what. Or the frame
+        is several times as rough as `noise`, and less than half of it is on planes: another sensor's noise, most
+        likely. Or `noise` is more than a fifth of 1/Z: in other units, most likely. Or surfaces without noise are bent
+        as depth, and flat as distances along the ray.
 
     Notes
     -----
-    Blocks of 4x4 pixels, joined by fours where they are one plane, and with their neighbours where they surely are, are
-    merged by what joining adds to the sum of squared residuals in inverse depth, which moments give exactly (Papadakis
-    and Willis 2017 split squares in the same space, from above). Then each pixel goes to the plane it fits, the planes
-    are fitted anew to the pixels they own, and this is done three times, after which hardly a pixel changes. The same
-    bits come out for the same frame, whatever came before it and in any thread; kernels that were compiled anew, or for
-    another processor, may round the last bit differently.
+    Blocks of 4x4 pixels are joined by fours where they are one plane, then with their neighbours. What a merge adds to
+    the sum of squared residuals in inverse depth decides; moments give it exactly. Papadakis and Willis 2017 split
+    squares in the same space, from above. Then each pixel goes to the plane it fits, and the planes are fitted anew to
+    the pixels they own. After three such rounds hardly a pixel changes.
+
+    The same frame gives the same bits, whatever came before it and in any thread. Kernels that were compiled for
+    another processor may round the last bit differently.
     """
     check_camera(camera)
     given, min_size = check_settings(camera, noise, min_size)

@@ -17,10 +17,10 @@ def folder(path: str | os.PathLike[str], camera: Camera | None = None, *, allow_
     Parameters
     ----------
     path : folder
-        With the images in it or in ``depth/``, or in its only subfolder with "depth" in its name, in the order of the
-        numbers in their names, or in that of the lines "seconds file" of a ``depth.txt``. Where some names contain
-        "depth", as beside images of colour, those images. Images of confidence, masks, normals, colour and labels, by
-        their names, are left out, and of one frame in several files all but one.
+        Images are in it, in ``depth/``, or in its only subfolder with "depth" in its name. They are ordered by the
+        numbers in their names, or by the lines "seconds file" of a ``depth.txt``. Where some names contain "depth", as
+        beside images of colour, only those count. Images of confidence, masks, normals, colour and labels are left
+        out, by their names. Of one frame in several files all but one are left out.
     camera : Camera, optional
         Read from ``camera.json`` in the folder, if not given, or from another calibration there that `Camera.load`
         reads, or a matrix.

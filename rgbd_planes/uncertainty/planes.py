@@ -41,11 +41,10 @@ def same_plane(
     Parameters
     ----------
     alpha, other_alpha : (..., 3) or (..., 4) array_like
-        As ``alpha`` of a fit, -n / d; or planes (n, d), as from `transform_planes`, both in the same frame. For planes
-        that one camera saw, α is better. Errors of (n, d) are known to first order only. That is not enough where
+        α = -n / d in 1/m, or planes (n, d), both in one frame. For planes that one camera saw, α is better. Errors of (n, d) are known to first order only. That is not enough where
         normals are uncertain by ten degrees or more, as in tiles of a few pixels.
     covariance, other_covariance : (..., 3, 3) or (..., 4, 4) array_like
-        As ``alpha_covariance``, or as ``plane_covariance``.
+        Of α in 1/m², a fit's ``alpha_covariance``; or of (n, d), its ``plane_covariance``.
 
     Returns
     -------
@@ -295,7 +294,7 @@ def _variance_across(plane: Floats, covariance: Floats) -> Floats:
 
 
 def _slope_of_motion(normal: Floats, translation: Floats) -> Floats:
-    """(..., 4, 6): derivative of moved planes (n', d') by the error (ω, τ) of their motion, see `transform_planes`."""
+    """(..., 4, 6): derivative of moved planes (n', d') by the error (ω, τ) of their motion."""
     shape = np.broadcast_shapes(normal.shape[:-1], translation.shape[:-1])
     slope = np.zeros((*shape, 4, 6))
     # dn' = ω × n', dd' = -dn'·t - n'·τ
@@ -312,12 +311,12 @@ def _slope_of_motion(normal: Floats, translation: Floats) -> Floats:
 class PlaneAlignment:
     """The motion between two frames, by planes that both show; unpacks as (transform, covariance).
 
-    Errors are (ω, τ), in radians and metres, in the axes of the other frame: see `transform_planes`.
+    The true motion is exp([ω]×)·R and t + τ: rotation vector ω in radians, shift τ in metres, in the other frame's axes.
 
     Attributes
     ----------
     transform : (4, 4) float64
-        As `transform_planes` takes it: X in the other frame is R·X + t.
+        R and t, in metres: X in the other frame is R·X + t.
     covariance : (6, 6) float64
         Of (ω, τ); NaN where some direction is open.
     information : (6, 6) float64

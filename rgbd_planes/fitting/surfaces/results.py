@@ -220,9 +220,9 @@ class SurfaceFits:
     def p_flat(self) -> Floats:
         """S float64: probability that on a plane the noise alone makes terms of second order as large.
 
-        Small for curved surfaces, and between 0 and 1 with equal chances for flat ones. It tests what the three terms
-        of second order explain of the squared residuals of a plane, by a chi-square whose mean and variance are those
-        that the noise model gives them, errors that neighbours share included (Satterthwaite 1946).
+        Small for curved surfaces, and between 0 and 1 with equal chances for flat ones. The three terms
+        of second order explain a part of the squared residuals of a plane. A scaled chi-square tests that part. Its
+        mean and variance are those of the noise model, with errors that neighbours share (Satterthwaite 1946).
         """
         return np.asarray(self._statistics(P_FLAT, P_FLAT + 1)[..., 0])
 

@@ -98,8 +98,8 @@ def fit_surface_windows(
 ) -> WindowSurfaces:
     """Fit a surface of second order to each of many rectangles of a frame, which may overlap.
 
-    The pixels of each window are summed up, or, for windows that together have more than three times the pixels of the
-    frame, six summed-area tables and one for residuals are built: where the standard form of a quadratic needs twenty.
+    The pixels of each window are summed up. Windows that together have more than three times the pixels of the frame
+    take seven summed-area tables instead. The standard form of a quadratic needs twenty.
 
     Parameters
     ----------
@@ -125,12 +125,12 @@ def fit_surface_windows(
     Warns
     -----
     UserWarning
-        As `fit_tiles`.
+        Something in the frame is most likely not meant as it is, such as its unit: `fit_tiles` lists what.
 
     Notes
     -----
-    Differences of sums over the whole frame round: coefficients of second order by tables are right to about 1e-4 1/m
-    for windows of 20 x 20 pixels in 640 x 480, where noise makes 1 1/m of them.
+    Differences of sums over the whole frame round. In 640 x 480, coefficients of second order by tables are right to
+    about 1e-4 1/m for windows of 20 x 20 pixels. A Kinect's noise makes 1 1/m of them.
     """
     check_camera(camera)
     if implementation is not None:
