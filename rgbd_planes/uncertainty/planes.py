@@ -41,8 +41,9 @@ def same_plane(
     Parameters
     ----------
     alpha, other_alpha : (..., 3) or (..., 4) array_like
-        α = -n / d in 1/m, or planes (n, d), both in one frame. For planes that one camera saw, α is better. Errors of (n, d) are known to first order only. That is not enough where
-        normals are uncertain by ten degrees or more, as in tiles of a few pixels.
+        α = -n / d in 1/m, or planes (n, d), both in one frame. For planes that one camera saw, α is better: errors of
+        (n, d) are known to first order only. That is not enough where normals are uncertain by ten degrees or more, as
+        in tiles of a few pixels.
     covariance, other_covariance : (..., 3, 3) or (..., 4, 4) array_like
         Of α in 1/m², a fit's ``alpha_covariance``; or of (n, d), its ``plane_covariance``.
 
@@ -311,7 +312,7 @@ def _slope_of_motion(normal: Floats, translation: Floats) -> Floats:
 class PlaneAlignment:
     """The motion between two frames, by planes that both show; unpacks as (transform, covariance).
 
-    The true motion is exp([ω]×)·R and t + τ: rotation vector ω in radians, shift τ in metres, in the other frame's axes.
+    The true motion is exp([ω]×)·R and t + τ. ω is in radians, τ in metres, both in the other frame's axes.
 
     Attributes
     ----------

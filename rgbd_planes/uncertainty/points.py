@@ -48,7 +48,8 @@ def measurement_noise(
     Warns
     -----
     UserWarning
-        Something in the frame is most likely not meant as it is, such as its unit. Or neither the camera nor the call says what the noise is: a Kinect v1's is taken.
+        Something in the frame is most likely not meant as it is, such as its unit. Or neither the camera nor the call
+        says what the noise is: a Kinect v1's is taken.
 
     Notes
     -----
