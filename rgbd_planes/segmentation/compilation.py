@@ -30,6 +30,7 @@ from rgbd_planes.kernels.segmentation.components.labels import leave_out, settle
 from rgbd_planes.kernels.segmentation.components.occlusion_gaps import join_across_gaps
 from rgbd_planes.kernels.segmentation.components.rim_outliers import release_rims
 from rgbd_planes.kernels.segmentation.curved.curved import find_curved
+from rgbd_planes.kernels.segmentation.curved.surfaces import number_surfaces
 from rgbd_planes.kernels.segmentation.merge.contacts import keep_pairs_inside, neighbours, rename_pairs
 from rgbd_planes.kernels.segmentation.merge.merge import merge, renumber_regions
 from rgbd_planes.kernels.segmentation.merge.seed_growing import grow_together
@@ -152,7 +153,7 @@ def _calls(dtype: str, is_disparity: bool) -> list[Call]:
 
 
 def _more_calls(dtype: str) -> list[Call]:
-    """The kernels that only some frames need: regions that are several faces, noise that neighbours share."""
+    """The kernels that only some frames need: regions that are several faces or curved, shared noise."""
     calls = dict(_calls(dtype, False))
     view, regions, _, contacts, *_ = calls[find_curved]
     labels, pyramid = calls[fit_interior][1], calls[nearest_surface][0]
@@ -163,6 +164,7 @@ def _more_calls(dtype: str) -> list[Call]:
         (keep_pairs_inside, (contacts, 1, number, flags)),
         (take_parts, (number, number, flags, moments, moments)),
         (shared_by_planes, (1.0, pyramid, labels[0], view[0])),
+        (number_surfaces, (view, labels[1], np.uint8(0), 1, labels[0])),
     ]
 
 

@@ -49,6 +49,12 @@ class Segmentation(Savable):
         `Reason`.
     sigma : float
         Typical standard deviation of the frame's inverse depth, 1/m.
+    evidence : (N,) float64
+        Logarithm of how many times more likely each plane makes its pixels than the best plane without it does; NaN in
+        results from files of earlier versions.
+    curved_labels : (H, W) int32
+        The connected curved surfaces that pixels of ``Reason.CURVED`` make: 1..M in the order of their first pixels, 0
+        elsewhere. Depth jumps part them, and those of fewer than ``min_size`` pixels are left out.
 
     Notes
     -----
@@ -69,8 +75,9 @@ class Segmentation(Savable):
     reason: NDArray[np.uint8]
     sigma: float
     evidence: Floats
+    curved_labels: NDArray[np.int32]
 
-    _later: ClassVar[frozenset[str]] = frozenset({"evidence"})
+    _later: ClassVar[frozenset[str]] = frozenset({"evidence", "curved_labels"})
 
     def __len__(self) -> int:
         """Number of planes."""
@@ -203,9 +210,10 @@ class Segmentation(Savable):
         camera, labels, count = values["camera"], values["labels"], len(values["sizes"])
         if labels.shape != camera.shape:  # before memory is asked for: a nonsensical size takes any amount
             raise ValueError("labels of another image size")
-        values = {"evidence": np.full(count, np.nan), **values}
+        values = {"evidence": np.full(count, np.nan), "curved_labels": np.zeros_like(labels), **values}
         check_alike(values, _allocate(camera, count))
         check_label_image(labels, camera.shape, count)
+        check_label_image(values["curved_labels"], camera.shape, labels.size)
         check_planes(values["planes"], values["alpha"])
         check_covariances(values["alpha_covariance"])
         return {**values, "sigma": float(values["sigma"])}
@@ -250,4 +258,5 @@ def _allocate(camera: Camera, count: int) -> dict[str, NDArray[Any]]:
         "rmse": np.empty(count),
         "reason": np.empty(camera.shape, np.uint8),
         "evidence": np.empty(count),
+        "curved_labels": np.empty(camera.shape, np.int32),
     }

@@ -23,6 +23,7 @@ from rgbd_planes.kernels.segmentation.components.occlusion_gaps import join_acro
 from rgbd_planes.kernels.segmentation.components.rim_outliers import release_rims
 from rgbd_planes.kernels.segmentation.components.runs import PIECES
 from rgbd_planes.kernels.segmentation.curved.curved import find_curved
+from rgbd_planes.kernels.segmentation.curved.surfaces import number_surfaces
 from rgbd_planes.kernels.segmentation.evidence.evidence import renumber_labels, weigh_planes
 from rgbd_planes.kernels.segmentation.model.planes import describe_planes
 from rgbd_planes.kernels.segmentation.model.records import Found, Labels, Rays, Reasons, Regions, Rules, View, plain
@@ -72,7 +73,8 @@ def segment(
     -------
     Segmentation
         Labels 1..N in the order of their first pixels, strays aside. An empty or a shapeless frame has none. Parts of a
-        plane that something thin in front separates have one label; curved surfaces have none.
+        plane that something thin in front separates have one label. Curved surfaces have none: they are in
+        ``curved_labels``.
 
     Raises
     ------
@@ -163,6 +165,9 @@ def _segment(
     labels = Labels(aligned(camera.shape, np.int32), aligned(camera.shape, np.uint8))
     found = _find_planes(view, regions, curved, deviation, min_size, labels, work)
     found, evidence = _keep_evident(view, labels, found)
+    curved_labels = np.zeros(camera.shape, np.int32)
+    if curved.any():
+        number_surfaces(plain(view), labels.reason, _REASONS.curved, min_size, curved_labels)
     together = noise.together
     if given.is_sensors and together > 1.0:
         together = shared_by_planes(together, pyramid, labels.label, inverse_depth)
@@ -193,6 +198,7 @@ def _segment(
         reason=labels.reason,
         sigma=about_noise.typical_sigma,
         evidence=evidence,
+        curved_labels=curved_labels,
     )
 
 
