@@ -58,6 +58,14 @@ def check_whole(name: str, value: int, least: int, kind: str = "whole number", b
     return int(value)
 
 
+def check_window(window: int) -> int:
+    """Return the side of the square window around a pixel as an int."""
+    side = check_whole("window", window, 3, "whole number of pixels")
+    if side > 31 or side % 2 == 0:
+        raise ValueError(f"window must be odd, from 3 to 31 pixels, got {window}")
+    return side
+
+
 def check_num_threads(num_threads: int | None) -> int | None:
     """Return a whole number of at least 1 as an int, or None."""
     return None if num_threads is None else check_whole("num_threads", num_threads, 1, "whole number, or None")

@@ -2,6 +2,12 @@
 
 import enum
 
+import numpy as np
+from numpy.typing import NDArray
+
+from rgbd_planes._core.arrays import Floats
+from rgbd_planes._core.text import two_digits
+
 
 class TileStatus(enum.IntEnum):
     """Whether a tile has a plane, or why not."""
@@ -36,3 +42,12 @@ class Reason(enum.IntEnum):
     """Its region is part of a curved surface."""
     NOISE = 7
     """Its region is no more of a plane than noise makes by itself."""
+
+
+def summary_of(status: NDArray[np.uint8], residuals: Floats) -> str:
+    """Counts of each `TileStatus` that occurs, and the median of the residuals of what was fitted, in metres."""
+    counts = {kind.name: np.count_nonzero(status == kind) for kind in TileStatus}
+    parts = [f"{count} {name}" for name, count in counts.items() if count]
+    if residuals.size:
+        parts.append(f"median rmse {two_digits(1e3 * np.median(residuals))} mm")
+    return ", ".join(parts) or "nothing to fit"

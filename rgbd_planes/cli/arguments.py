@@ -37,19 +37,29 @@ def add_fit_options(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="range_explicit (default), range_implicit, standard_explicit, standard_implicit, standard_pca",
     )
-    parser.add_argument(
-        "--max-missing",
-        type=float,
-        default=0.5,
-        metavar="SHARE",
-        help="largest share of a tile's pixels that may be missing (0.5)",
-    )
+    add_limits(parser)
+
+
+def add_limits(parser: argparse.ArgumentParser) -> None:
+    """Add what tiles must keep to be OK."""
+    add_max_missing(parser, "tile")
     parser.add_argument("--max-error", type=float, metavar="METRES", help="call tiles with a larger residual ROUGH")
     parser.add_argument(
         "--significance",
         type=float,
         metavar="LEVEL",
         help="call tiles ROUGH whose residual the noise explains less often than this (0.01); 0 for none",
+    )
+
+
+def add_max_missing(parser: argparse.ArgumentParser, part: str) -> None:
+    """Add the largest share of missing pixels of a tile or a window."""
+    parser.add_argument(
+        "--max-missing",
+        type=float,
+        default=0.5,
+        metavar="SHARE",
+        help=f"largest share of a {part}'s pixels that may be missing (0.5)",
     )
 
 

@@ -9,6 +9,7 @@ from rgbd_planes.cli.arguments import (
     FIGURES,
     Run,
     add_frame,
+    add_limits,
     add_noise,
     check_outputs,
     read_frame,
@@ -26,20 +27,7 @@ def curvature(parser: argparse.ArgumentParser) -> Run:
     parser.add_argument(
         "--tile", type=tile_size, default=(24, 24), metavar="N or HxW", help="size of a tile in pixels (24)"
     )
-    parser.add_argument(
-        "--max-missing",
-        type=float,
-        default=0.5,
-        metavar="SHARE",
-        help="largest share of a tile's pixels that may be missing (0.5)",
-    )
-    parser.add_argument("--max-error", type=float, metavar="METRES", help="call tiles with a larger residual ROUGH")
-    parser.add_argument(
-        "--significance",
-        type=float,
-        metavar="LEVEL",
-        help="call tiles ROUGH whose residual the noise explains less often than this (0.01); 0 for none",
-    )
+    add_limits(parser)
     add_noise(parser, "says which tiles are curved, and how exactly that is known")
     parser.add_argument("--threads", type=int, metavar="N", help="number of threads (as many as pay)")
     parser.add_argument(

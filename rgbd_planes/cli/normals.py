@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from rgbd_planes._core.text import percent, shown
-from rgbd_planes.cli.arguments import FIGURES, Run, add_frame, check_outputs, read_frame, write_figure
+from rgbd_planes.cli.arguments import FIGURES, Run, add_frame, add_max_missing, check_outputs, read_frame, write_figure
 
 
 def normals(parser: argparse.ArgumentParser) -> Run:
@@ -21,13 +21,7 @@ def normals(parser: argparse.ArgumentParser) -> Run:
         action="store_true",
         help="use a window beside an edge for pixels whose own window it runs through",
     )
-    parser.add_argument(
-        "--max-missing",
-        type=float,
-        default=0.5,
-        metavar="SHARE",
-        help="largest share of a window's pixels that may be missing (0.5)",
-    )
+    add_max_missing(parser, "window")
     parser.add_argument("--threads", type=int, metavar="N", help="number of threads (as many as pay)")
     parser.add_argument(
         "--out", type=Path, metavar="NPY/PNG/TIF", help="write the normals: (H, W, 3) float32, or as colours"

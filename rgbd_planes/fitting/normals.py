@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rgbd_planes._core.checks import check_bool, check_num_threads, check_share, check_whole
+from rgbd_planes._core.checks import check_bool, check_num_threads, check_share, check_window
 from rgbd_planes._core.compile_notice import announced
 from rgbd_planes._core.threads import choose_num_threads, run_in_ranges
 from rgbd_planes.camera.camera import Camera, check_camera
@@ -156,7 +156,7 @@ def _surfaces(
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
     """Return normals and surface variation, the latter empty for ``normals_only`` when that is quicker."""
     check_camera(camera)
-    window = _check_window(window)
+    window = check_window(window)
     needed = valid_needed(np.arange(window**2 + 1), check_share("max_missing", max_missing))
     avoid_edges = check_bool("avoid_edges", avoid_edges)
     frame = as_depth_frame(depth, camera)
@@ -209,13 +209,6 @@ def _typical(frame: DepthFrame, rounding: float, variance: npt.NDArray[np.float3
         uneven = some[some > np.maximum(flat, (1e-6 * q) ** 2)]  # which NaN is not
         # In frames without noise the others are those across edges; of a sensor with coarse steps, those across steps.
         return float(np.median(uneven)) if uneven.size > _EDGES * np.count_nonzero(np.isfinite(some)) else 0.0
-
-
-def _check_window(window: int) -> int:
-    side = check_whole("window", window, 3, "whole number of pixels")
-    if side > 31 or side % 2 == 0:
-        raise ValueError(f"window must be odd, from 3 to 31 pixels, got {window}")
-    return side
 
 
 def _ratio(window: int) -> float:

@@ -57,6 +57,22 @@ def grid_shape(camera: Camera, tile: tuple[int, int]) -> tuple[int, int]:
     return -(-camera.height // tile[0]), -(-camera.width // tile[1])
 
 
+def tile_places(
+    frame: tuple[int, int], tile: tuple[int, int], shape: tuple[int, ...]
+) -> dict[str, npt.NDArray[np.int64]]:
+    """The columns of a table that say which tile a row is: in a grid of ``shape`` (R, C), or (F, R, C) of a batch."""
+    *number, row, column = np.indices(shape).reshape(len(shape), -1)
+    places = {"frame": number[0]} if number else {}
+    return places | {
+        "row": row,
+        "column": column,
+        "top": row * tile[0],
+        "left": column * tile[1],
+        "height": tile_sizes(frame[0], tile[0])[row],
+        "width": tile_sizes(frame[1], tile[1])[column],
+    }
+
+
 @lru_cache(maxsize=16)
 def tile_windows(frame: tuple[int, int], tile: tuple[int, int]) -> npt.NDArray[np.int64]:
     """(R * C, 4) int64: row, column, height, width of every tile of a frame of (height, width)."""

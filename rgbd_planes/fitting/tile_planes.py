@@ -16,7 +16,7 @@ from rgbd_planes.camera.camera import Camera
 from rgbd_planes.fitting.methods import ARRAYS
 from rgbd_planes.fitting.results import PlacedFits
 from rgbd_planes.fitting.saving import Savable, Values, check_fits
-from rgbd_planes.fitting.tile_grid import check_tile, grid_shape, tile_footprints, tile_sizes, tile_windows
+from rgbd_planes.fitting.tile_grid import check_tile, grid_shape, tile_footprints, tile_places, tile_sizes, tile_windows
 from rgbd_planes.plotting.protocols import Outlines
 from rgbd_planes.uncertainty.falloff import growth_of_tiles
 
@@ -163,16 +163,7 @@ class TilePlanes(Savable, PlacedFits):
         return f"<TilePlanes: {count}{rows} x {columns} tiles of {height} x {width} pixels, {self._summary()}>"
 
     def _places(self) -> dict[str, npt.NDArray[Any]]:
-        *frame, row, column = np.indices(self.shape).reshape(len(self.shape), -1)
-        places = {"frame": frame[0]} if frame else {}
-        return places | {
-            "row": row,
-            "column": column,
-            "top": row * self.tile[0],
-            "left": column * self.tile[1],
-            "height": self.tile_heights[row],
-            "width": self.tile_widths[column],
-        }
+        return tile_places(self.camera.shape, self.tile, self.shape)
 
     @classmethod
     def _checked(cls, values: Values) -> Values:

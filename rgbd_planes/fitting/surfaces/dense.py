@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rgbd_planes._core.checks import check_num_threads, check_share, check_whole
+from rgbd_planes._core.checks import check_num_threads, check_share, check_window
 from rgbd_planes._core.compile_notice import announced
 from rgbd_planes._core.threads import choose_num_threads, run_in_ranges
 from rgbd_planes.camera.camera import Camera, check_camera
@@ -63,9 +63,7 @@ def principal_curvatures(
     another quantity, the surface variation that PCL calls curvature, which noise changes most.
     """
     check_camera(camera)
-    side = check_whole("window", window, 3, "whole number of pixels")
-    if side > 31 or side % 2 == 0:
-        raise ValueError(f"window must be odd, from 3 to 31 pixels, got {window}")
+    side = check_window(window)
     needed = needed_for_surfaces(np.arange(side**2 + 1), check_share("max_missing", max_missing))
     frame = as_depth_frame(depth, camera)
     threads = choose_num_threads(check_num_threads(num_threads), frame.raw.size)

@@ -10,8 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes._core.arrays import Arrays, Floats
-from rgbd_planes._core.status import TileStatus
-from rgbd_planes._core.text import two_digits
+from rgbd_planes._core.status import TileStatus, summary_of
 from rgbd_planes.camera.camera import Camera
 from rgbd_planes.kernels.moments.surface_tiles import SURFACE_SUMS
 from rgbd_planes.kernels.solvers.curvatures import surface_geometry
@@ -290,15 +289,7 @@ class SurfaceFits:
         return {"label": np.arange(1, len(self.status) + 1)}
 
     def _summary(self) -> str:
-        """Counts of each status that occurs, and the median residual."""
-        counts = [
-            f"{np.count_nonzero(self.status == status)} {status.name}"
-            for status in TileStatus
-            if np.any(self.status == status)
-        ]
-        if self.fitted.any():
-            counts.append(f"median rmse {two_digits(1e3 * np.median(self.rmse_metric[self.fitted]))} mm")
-        return f"quadratic: {', '.join(counts) or 'nothing to fit'}"
+        return f"quadratic: {summary_of(self.status, self.rmse_metric[self.fitted])}"
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.shape}, {self._summary()}>"

@@ -16,7 +16,15 @@ from rgbd_planes.camera.camera import Camera
 from rgbd_planes.fitting.saving import Savable, Values
 from rgbd_planes.fitting.surfaces.results import SURFACE_ARRAYS, SurfaceFits
 from rgbd_planes.fitting.surfaces.saving import check_surfaces
-from rgbd_planes.fitting.tile_grid import check_tile, grid_shape, tile_footprints, tile_rays, tile_sizes, tile_windows
+from rgbd_planes.fitting.tile_grid import (
+    check_tile,
+    grid_shape,
+    tile_footprints,
+    tile_places,
+    tile_rays,
+    tile_sizes,
+    tile_windows,
+)
 from rgbd_planes.uncertainty.falloff import growth_of_tiles
 
 if TYPE_CHECKING:
@@ -150,16 +158,7 @@ class TileSurfaces(Savable, SurfaceFits):
         return plot_surfaces(self, depth, figure)
 
     def _places(self) -> dict[str, npt.NDArray[Any]]:
-        *frame, row, column = np.indices(self.shape).reshape(len(self.shape), -1)
-        places = {"frame": frame[0]} if frame else {}
-        return places | {
-            "row": row,
-            "column": column,
-            "top": row * self.tile[0],
-            "left": column * self.tile[1],
-            "height": self.tile_heights[row],
-            "width": self.tile_widths[column],
-        }
+        return tile_places(self.camera.shape, self.tile, self.shape)
 
     @classmethod
     def _checked(cls, values: Values) -> Values:
