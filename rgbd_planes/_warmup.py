@@ -29,7 +29,7 @@ def warmup(
 ) -> None:
     """Compile the kernels that fit tiles, or load them from the cache, so that the first frame is as fast as the next.
 
-    On a new installation this takes some seconds, once, and with ``segment`` half a minute or more, in up to four
+    On a new installation this takes up to half a minute, once, and with ``segment`` up to two minutes, in up to four
     processes. In later processes it takes a fraction of a second.
 
     Parameters

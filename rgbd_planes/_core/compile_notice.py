@@ -18,7 +18,7 @@ _progress: list[list[float]] = []
 _NOTHING = nullcontext()
 
 
-def announced(key: Hashable, takes: str = "some seconds") -> AbstractContextManager[None]:
+def announced(key: Hashable, takes: str = "up to half a minute") -> AbstractContextManager[None]:
     """Log a line if the first call for ``key`` takes long, and now and then how far it is; later calls cost nothing.
 
     It is said once in a process for all calls of the same ``takes``, and only while kernels are compiled. Kernels that
@@ -66,12 +66,17 @@ def _report_until(done: threading.Event) -> None:
     begin = time.monotonic()
     while not done.wait(SECONDS_BETWEEN_NOTICES):
         seconds = time.monotonic() - begin
-        if _progress:
-            finished, work = _progress[-1]
-            left = f", about {seconds * (work - finished) / finished:.0f} s are left" if finished else ""
-            _logger.warning(f"still compiling kernels: {finished / work:.0%} are done after {seconds:.0f} s{left}")
+        finished, work = _progress[-1] if _progress else (0.0, 0.0)
+        if finished:
+            left = seconds * (work - finished) / finished
+            how_far = f"{finished / work:.0%} are done, about {left:.0f} s are left"
+        elif work:
+            how_far = "the largest come first"
         elif compiler_pauses.is_compiling:
-            _logger.warning(f"still compiling kernels: {compiler_pauses.compiled} are done after {seconds:.0f} s")
+            how_far = f"{compiler_pauses.compiled} are done"
+        else:
+            continue
+        _logger.warning(f"still compiling kernels after {seconds:.0f} s: {how_far}")
 
 
 def _announce(takes: str) -> bool:

@@ -72,6 +72,8 @@ def curvature(parser: argparse.ArgumentParser) -> Run:
                 deviation = two_digits(float(np.median(surfaces.mean_curvature_std[surfaces.fitted])))
                 text = f"Curved (p < 0.01): {percent(curved.mean())} of the surfaces; mean curvature is known to "
                 print(f"{text}{deviation} 1/m (median).")
+                if arguments.noise is not None:
+                    print("Pixels that err alike make flat tiles look curved: rgbd-planes noise finds how they do.")
         if arguments.out is not None:
             if arguments.out.suffix.lower() == ".csv":
                 _write_csv(arguments.out, surfaces.to_table())

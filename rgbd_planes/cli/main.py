@@ -146,6 +146,8 @@ class _Parser(argparse.ArgumentParser):
         unknown = self._unknown_options()
         if unknown:
             message = f"unrecognized arguments: {', '.join(unknown)}"
+        elif "required: " in message and "--camera" in message:
+            message += ", a file such as camera.json, or a preset such as kinect_v1"
         self.exit(2, f"{self.prog}: {shown(message)} (see {self.prog} --help)\n")
 
     def _unknown_options(self) -> list[str]:

@@ -144,7 +144,7 @@ def segment_frame(
     frame: DepthFrame, camera: Camera, given: Given, min_size: int, rules: Rules = _RULES
 ) -> Segmentation:
     """`segment` of a frame that is checked, by rules that may be others."""
-    with announced(("segment", frame.raw.dtype), "half a minute or more"), workspaces.lent(camera) as work:
+    with announced(("segment", frame.raw.dtype), "half a minute to two minutes"), workspaces.lent(camera) as work:
         compile_for(frame)
         return _segment(frame, camera, given, min_size, rules, rays_of(camera._lens), work)
 

@@ -48,7 +48,7 @@ def read_depth(path: str | os.PathLike[str]) -> Frame:
         image of one channel, or holds numbers of another kind.
     """
     if Path(path).is_dir():
-        raise ValueError(f"{shown(path)}: expected one depth image, got a folder (`rgbd-planes batch` takes folders)")
+        raise ValueError(f"{shown(path)}: expected one depth image, got a folder (rgbd-planes view and batch take one)")
     file = existing_file(path)
     reader = _READERS.get(file.suffix.lower())
     if file.suffix.lower() in RECORDINGS:

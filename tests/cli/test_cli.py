@@ -291,7 +291,8 @@ def test_an_option_that_there_is_not_is_named_before_one_that_is_missing(folder,
     assert "unrecognized arguments: more" in fails(capsys, *arguments, "more")
     assert "invalid choice: 'fitt'" in fails(capsys, "fitt", "depth.png", "--camera", "camera.json")
     assert "could match" in fails(capsys, *arguments, "--m", "1")
-    assert "required: --camera" in fails(capsys, "fit", "depth.png", "--max-e", "1")
+    said = fails(capsys, "fit", "depth.png", "--max-e", "1")
+    assert "required: --camera, a file such as camera.json, or a preset such as kinect_v1 (see" in said
 
 
 @pytest.mark.parametrize("suffix", [".png", ".tif", ".pgm", ".pfm", ".npy", ".npz"])
@@ -767,6 +768,7 @@ def test_curvature_writes_surfaces_a_table_and_a_picture(folder, capsys):
     out = capsys.readouterr().out
     assert "5 x 7 tiles of 12 x 12 pixels" in out
     assert "Curved (p < 0.01):" in out
+    assert "rgbd-planes noise finds" in out
     found = rp.TileSurfaces.load("bent.npz")
     assert found.shape == (5, 7)
     with Image.open("bent.png") as picture:

@@ -137,7 +137,7 @@ def test_slow_first_call_is_announced_once(caplog, monkeypatch):
     with compile_notice.announced("one"), compile_notice.announced("other"):
         wait_for(2, caplog)
     assert len(caplog.messages) == 2
-    assert caplog.messages[0].startswith("compiling kernels: some seconds")
+    assert caplog.messages[0].startswith("compiling kernels: up to half a minute")
     # What takes far longer is said all the same.
     with compile_notice.announced("segment", "about a minute"):
         wait_for(3, caplog)
@@ -173,8 +173,21 @@ def test_what_compiles_for_long_says_how_far_it_is(caplog, monkeypatch):
         said = caplog.messages.copy()
         time.sleep(0.2)
         assert caplog.messages == said
-    assert said[0].startswith("compiling kernels: some seconds")
-    assert re.fullmatch(r"still compiling kernels: 41 are done after \d s", said[-1])
+    assert said[0].startswith("compiling kernels: up to half a minute")
+    assert re.fullmatch(r"still compiling kernels after \d s: 41 are done", said[-1])
+
+
+def test_what_is_left_to_compile_is_told_once_something_is_done(caplog, monkeypatch):
+    monkeypatch.setattr(compile_notice, "SECONDS_BEFORE_NOTICE", 0.01)
+    monkeypatch.setattr(compile_notice, "SECONDS_BETWEEN_NOTICES", 0.01)
+    monkeypatch.setattr(compile_notice, "_announced", {})
+    monkeypatch.setattr(compile_notice, "_compiled", set())
+    with compile_notice.announced("segment"), compile_notice.counted(10.0) as count:
+        wait_for(2, caplog)
+        assert caplog.messages[1] == "still compiling kernels after 0 s: the largest come first"
+        count(8.0)
+        wait_for(len(caplog.messages) + 2, caplog)
+    assert re.fullmatch(r"still compiling kernels after \d s: 80% are done, about \d s are left", caplog.messages[-1])
 
 
 def test_a_notice_that_gets_no_thread_is_not_given(monkeypatch):
