@@ -1,7 +1,8 @@
 """``python -m bench.surfaces``: the paper's report one order up.
 
 Operations of summed-area tables, counted by numbers that count; tables and direct sums timed; curvature against Z(X, Y)
-and against a quadratic in the frame of the principal components.
+and against a quadratic in the frame of the principal components. With real frames also how many flat tiles count as
+curved: the environment variable RGBD_PLANES_DATA names their folder.
 """
 
 import argparse
@@ -16,11 +17,16 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import brentq
+from scipy.stats import chi2, ncx2
 
 import rgbd_planes as rp
 from bench.operations import PAPER_OPERATIONS_PER_TABLE, Number
+from bench.real_data import FOLDER
+from bench.uncertainty_real import SETS, flat_regions, real_sets
 from rgbd_planes.camera.depth_frame import as_depth_frame
 from rgbd_planes.camera.rays import ray_tables
+from rgbd_planes.fitting.tile_grid import common_labels
 from rgbd_planes.kernels.moments import summed_area, surface_tables
 from rgbd_planes.noise import KINECT_V1
 
@@ -188,6 +194,50 @@ def accuracy(runs: int) -> dict[str, dict[str, list[float]]]:
     return found
 
 
+def found_radii(level: float = 0.01, power: float = 0.9) -> dict[int, list[float]]:
+    """By tile: standard deviation of q_uu in 1/m, and the largest ball in front that passes for flat in 1 - ``power``.
+
+    The test is T ~ χ²(3) of independent pixels; of a ball it is the noncentral one.
+    """
+    needed = brentq(lambda x: ncx2.sf(chi2.isf(level, 3), 3, x) - power, 1.0, 100.0)
+    found = {}
+    for tile in (16, 20, 30, 40):
+        u = (np.arange(tile) - 0.5 * (tile - 1)) / 525.0
+        u, v = (grid.ravel() for grid in np.meshgrid(u, u))
+        terms = np.column_stack([np.ones_like(u), u, v, u * u, u * v, v * v])
+        covariance = KINECT_V1**2 * np.linalg.inv(terms.T @ terms)[3:, 3:]
+        bend = np.array([0.5, 0.0, 0.5])  # β of a ball of 1 m radius
+        found[tile] = [
+            2.0 * float(np.sqrt(covariance[0, 0])),
+            float(np.sqrt(bend @ np.linalg.inv(covariance) @ bend / needed)),
+        ]
+    return found
+
+
+def flat_called_curved(tile: int = 24) -> dict[str, list[float]]:
+    """By real data set: flat tiles, and the shares of them with p_flat below 0.01.
+
+    First by the noise that is estimated from the other half of the frames, then by a Kinect v1's independent noise. The
+    flat parts are labelled planes, or windows that a person would call flat. A tile counts that is wholly in one.
+    """
+    found: dict[str, list[float]] = {}
+    for data in real_sets():
+        models = rp.estimate_noise(data.first, data.camera), rp.noise.kinect_v1()
+        cameras = [data.camera.with_noise(model) for model in models]
+        counts = np.zeros(3)
+        for depth, labels in zip(data.second, data.labels, strict=True):
+            regions = flat_regions(depth, data.camera, labels).astype(np.int32)
+            is_flat = common_labels(regions, regions, tile) > 0
+            for i, camera in enumerate(cameras):
+                surfaces = rp.fit_surfaces(depth, camera, tile)
+                counted = is_flat & surfaces.fitted
+                counts[i + 1] += np.count_nonzero(surfaces.p_flat[counted] < 0.01)
+            counts[0] += np.count_nonzero(counted)
+        total = found.setdefault(data.name, [0.0, 0.0, 0.0])
+        found[data.name] = [a + b for a, b in zip(total, counts.tolist(), strict=True)]
+    return {SETS[name]: [n, a / max(n, 1.0), b / max(n, 1.0)] for name, (n, a, b) in found.items()}
+
+
 def to_markdown(result: dict[str, Any]) -> str:
     """The report."""
     lines = ["## Operations counted", ""]
@@ -211,6 +261,14 @@ def to_markdown(result: dict[str, Any]) -> str:
     for name, row in result["accuracy"].items():
         cells = [" / ".join(f"{value:.3f}" for value in row[method]) for method in METHODS]
         lines.append(f"| {name} | {' | '.join(cells)} |")
+    lines += ["", "## Balls that are found at 1 % with 90 % power", ""]
+    lines += ["| tile | standard deviation of q_uu, 1/m | radius below, m |", "|---:|---:|---:|"]
+    lines += [f"| {tile} | {std:.2g} | {radius:.2g} |" for tile, (std, radius) in result["found"].items()]
+    if "flat tiles" in result:
+        lines += ["", "## Flat tiles that count as curved at 1 %", ""]
+        lines += ["| frames | tiles | by the estimated noise | by independent noise |", "|---|---:|---:|---:|"]
+        for name, (tiles, estimated, independent) in result["flat tiles"].items():
+            lines.append(f"| {name} | {tiles:.0f} | {100.0 * estimated:.1f} % | {100.0 * independent:.1f} % |")
     return "\n".join(lines) + "\n"
 
 
@@ -227,7 +285,10 @@ def main(arguments: list[str] | None = None) -> int:
         "operations": count_all(),
         "ms": time_all(3 if options.quick else 40),
         "accuracy": accuracy(20 if options.quick else 3000),
+        "found": found_radii(),
     }
+    if FOLDER.is_dir() and not options.quick:
+        result["flat tiles"] = flat_called_curved()
     print(to_markdown(result))
     if options.out is not None:
         options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
