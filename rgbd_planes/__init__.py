@@ -29,6 +29,8 @@ _NAMES = {
     "PlaneMap": "egomotion.plane_map",
     "PlanePolygon": "segmentation.polygons",
     "PlaneTracker": "segmentation.tracking",
+    "Primitive": "_core.status",
+    "PrimitiveFits": "segmentation.primitives.result",
     "Reason": "segmentation.result",
     "Segmentation": "segmentation.result",
     "SurfaceFitter": "fitting.surfaces.tiles",
@@ -42,6 +44,7 @@ _NAMES = {
     "curvature": "fitting.normals",
     "estimate_noise": "noise_estimation.estimation",
     "fit_labels": "fitting.labels",
+    "fit_primitives": "segmentation.primitives.fit",
     "fit_sequence": "batch.fit_sequence",
     "fit_surface_windows": "fitting.surfaces.windows",
     "fit_surfaces": "fitting.surfaces.tiles",
@@ -81,6 +84,7 @@ if TYPE_CHECKING:
     from rgbd_planes import noise as noise
     from rgbd_planes import sequences as sequences
     from rgbd_planes import uncertainty as uncertainty
+    from rgbd_planes._core.status import Primitive as Primitive
     from rgbd_planes._core.status import Reason as Reason
     from rgbd_planes._core.status import TileStatus as TileStatus
     from rgbd_planes._warmup import warmup as warmup
@@ -119,6 +123,8 @@ if TYPE_CHECKING:
     from rgbd_planes.plotting.trajectory import plot_trajectory as plot_trajectory
     from rgbd_planes.segmentation.polygons import PlanePolygon as PlanePolygon
     from rgbd_planes.segmentation.polygons import plane_polygons as plane_polygons
+    from rgbd_planes.segmentation.primitives.fit import fit_primitives as fit_primitives
+    from rgbd_planes.segmentation.primitives.result import PrimitiveFits as PrimitiveFits
     from rgbd_planes.segmentation.quadtree import segment_quadtree as segment_quadtree
     from rgbd_planes.segmentation.result import Segmentation as Segmentation
     from rgbd_planes.segmentation.segment import segment as segment

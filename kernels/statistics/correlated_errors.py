@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from .._jit.kernel import kernel
+from ..solvers.cholesky import factorise, invert
 from .correlation_cells import (
     add_runs,
     shared_by_cells,
@@ -43,12 +44,12 @@ def add_alone(cells, number, filled, factor, weights, sums):
     ``filled`` is 0; or one over the pixels of a full cell, if full cells are to add nothing, as what `apart_in_cell`
     gives does. ``weights`` (number,) are scratch memory.
     """
-    counts = cells[3]
+    counts = cells[len(cells) - 1]
     for k in range(number):
         n = counts[k]
         weights[k] = factor * max(1.0 - n * filled, 0.0) / n if n > 0.0 else 0.0
-    for i in range(3):
-        for j in range(i, 3):
+    for i in range(len(sums)):
+        for j in range(i, len(sums)):
             total = weighted_product(cells[i], cells[j], weights, number)
             sums[i, j] += total
             if j > i:
@@ -70,8 +71,10 @@ def add_correlated(cells, grid, extent, length, factor, scratch, sums):
 
     Parameters
     ----------
-    cells : (4, rows * columns) float64
-        Sums over the pixels of each cell of σ·(u - ū), σ·(v - v̄) and σ, and their number.
+    cells : (C, rows * columns) float64
+        Sums over the pixels of each cell: of σ times the derivatives of the fit in the first P rows, of σ in the row
+        before the last, which may be one of these, and last the number of pixels. Of a plane C is 4 and P is 3: the
+        derivatives are u - ū, v - v̄ and 1.
     grid : (rows, columns, shift)
         Of the cells, which have sides of 2^shift pixels.
     extent : (tall, wide)
@@ -80,12 +83,13 @@ def add_correlated(cells, grid, extent, length, factor, scratch, sums):
         Correlation length in pixels.
     factor : float
         By which the result is multiplied.
-    scratch : (8 or more, 2 * MOST_CELLS) float64
-    sums : (3, 3) float64, added to
+    scratch : (C + 4 or more, 2 * MOST_CELLS) float64
+    sums : (P, P) float64, added to
     """
     rows, columns, shift = grid
     tall, wide = extent
-    fewer, along_y, along_x, across, smoothed = scratch[:4], scratch[4], scratch[5], scratch[6], scratch[7]
+    height, fewer = len(cells), scratch[: len(cells)]
+    along_y, along_x, across, smoothed = scratch[height], scratch[height + 1], scratch[height + 2], scratch[height + 3]
     times_y, times_x = times_along(shift, tall, length), times_along(shift, wide, length)
     rows_now, columns_now = ((rows - 1) >> times_y) + 1, ((columns - 1) >> times_x) + 1
     side_y, side_x = 1 << (shift + times_y), 1 << (shift + times_x)
@@ -94,9 +98,9 @@ def add_correlated(cells, grid, extent, length, factor, scratch, sums):
     stride = columns_now + reach_x - 1
     number = rows_now * stride
     spread_out(cells, rows, columns, times_y, times_x, stride, fewer)
-    for j in range(3):
+    for j in range(len(sums)):
         smooth(fewer[j], number, stride, along_y[:reach_y], along_x[:reach_x], False, across, smoothed)
-        for i in range(3):
+        for i in range(len(sums)):
             total = factor * sum_of_products(fewer[i], smoothed, number)
             sums[i, j] += total
             sums[j, i] += total
@@ -117,21 +121,22 @@ def write_inverse(n, uu, uv, vv, inverse):
 
 @kernel()
 def trace_of_product(a, b):
-    """tr(AB) of two (3, 3) matrices."""
+    """tr(AB) of two (P, P) matrices."""
     total = 0.0
-    for i in range(3):
-        for j in range(3):
+    for i in range(len(a)):
+        for j in range(len(a)):
             total += a[i, j] * b[j, i]
     return total
 
 
 @kernel()
 def product(a, b):
-    """AB of two (3, 3) matrices."""
-    result = np.zeros((3, 3))
-    for i in range(3):
-        for j in range(3):
-            for k in range(3):
+    """AB of two (P, P) matrices."""
+    number = len(a)
+    result = np.zeros((number, number))
+    for i in range(number):
+        for j in range(number):
+            for k in range(number):
                 result[i, j] += a[i, k] * b[k, j]
     return result
 
@@ -168,21 +173,23 @@ def squares_of_pairs(weights, number, stride, side, components, factors, reaches
 
 
 @kernel()
-def degrees_of_freedom(cells, grid, components, factors, scratch):
+def degrees_of_freedom(cells, grid, parameters, components, factors, scratch):
     """Degrees of freedom of the sum of squared residuals: its squared mean over half its variance; NaN if unknown.
 
-    With the projection P = I - MA⁻¹Mᵀ on residuals these are tr(PC)² and tr((PC)²) = tr(C²) - 2tr(A⁻¹MᵀC²M) +
+    With the projection R = I - MA⁻¹Mᵀ on residuals these are tr(RC)² and tr((RC)²) = tr(C²) - 2tr(A⁻¹MᵀC²M) +
     tr((A⁻¹B)²) (Satterthwaite 1946). All of it, also A, from the same cells: little may remain of large numbers.
 
     Parameters
     ----------
     cells, grid
         The same as for `add_correlated`.
+    parameters : int
+        P, of the fit.
     components : (C, 2) float64
         Shares of the variance along the ray, and how far they are correlated, in pixels.
     factors : (C, 2, FEW_CELLS) float64
         Scratch memory.
-    scratch : (14 or more, 2 * MOST_CELLS) float64
+    scratch : (C + P + 7 or more, 2 * MOST_CELLS) float64
     """
     rows, columns, shift = grid
     times = 0
@@ -203,19 +210,22 @@ def degrees_of_freedom(cells, grid, components, factors, scratch):
             alone += share
     stride = columns_now + widest - 1
     number = rows_now * stride
-    fewer, with_all, across, smoothed = scratch[:4], scratch[4:7], scratch[7], scratch[8]
+    height, top = len(cells), len(cells) + parameters
+    fewer, with_all, across, smoothed = scratch[:height], scratch[height:top], scratch[top], scratch[top + 1]
     spread_out(cells, rows, columns, times, times, stride, fewer)
     with_all[:, :number] = 0.0
     for a in range(len(components)):
         if components[a, 1] > 0.0:
             along_y, along_x = factors[a, 0, : reaches[a, 0]], factors[a, 1, : reaches[a, 1]]
-            for j in range(3):
+            for j in range(parameters):
                 smooth(fewer[j], number, stride, along_y, along_x, True, across, smoothed)
                 for k in range(number):
                     with_all[j, k] += components[a, 0] * smoothed[k]
-    weights, deviations, counts = scratch[9], fewer[2], fewer[3]
-    explained, square, inverse = np.zeros((3, 3)), np.zeros((3, 3)), np.empty((3, 3))  # B and MᵀC²M
-    total = half = n = uu = uv = vv = 0.0
+    weights, deviations, counts = scratch[top + 2], fewer[height - 2], fewer[height - 1]
+    # A, B and MᵀC²M.
+    normal, explained, square = np.zeros((3, parameters, parameters))
+    lower, inverse = np.zeros((2, parameters, parameters))
+    total = half = 0.0
     for k in range(number):
         weights[k] = 0.0
         if counts[k] > 0.0:
@@ -225,22 +235,19 @@ def degrees_of_freedom(cells, grid, components, factors, scratch):
             total += weights[k]
             squares = alone * (alone + 2.0 * shared) + missing * apart * (2.0 * shared - apart)
             half += squares * weights[k] ** 2 / counts[k]
-            n += counts[k]
-            u, v = fewer[0, k] / deviations[k], fewer[1, k] / deviations[k]
-            uu += counts[k] * u * u
-            uv += counts[k] * u * v
-            vv += counts[k] * v * v
-            for i in range(3):
+            for i in range(parameters):
                 with_all[i, k] += lost * fewer[i, k] / counts[k]
-            for i in range(3):
-                for j in range(3):
+            for i in range(parameters):
+                for j in range(parameters):
+                    normal[i, j] += fewer[i, k] * fewer[j, k] / weights[k]
                     explained[i, j] += fewer[i, k] * with_all[j, k]
                     square[i, j] += weights[k] * with_all[i, k] * with_all[j, k]
-    if not write_inverse(n, uu, uv, vv, inverse):
+    if not factorise(normal, parameters, 0.0, lower):
         return math.nan
-    half += squares_of_pairs(weights, number, stride, side, components, factors, reaches, scratch[10:])
+    invert(lower, parameters, across, inverse)
+    half += squares_of_pairs(weights, number, stride, side, components, factors, reaches, scratch[top + 3 :])
     explained = product(inverse, explained)
-    expected = (alone + shared) * total - explained[0, 0] - explained[1, 1] - explained[2, 2]
+    expected = (alone + shared) * total - np.trace(explained)
     half += trace_of_product(explained, explained) - 2.0 * trace_of_product(inverse, square)
     return expected * expected / half if expected > 0.0 and half > 0.0 else math.nan
 
@@ -385,4 +392,4 @@ def shared_covariances(runs, image_rays, parts, noise, components, with_freedom,
             moments, sums, total, rays[i, 0] - u - mean_u, rays[i, 1] - v - mean_v, measured, covariances[i]
         )
         if with_freedom:
-            covariances[i, FREEDOM] = degrees_of_freedom(cells, grid, components, factors, scratch)
+            covariances[i, FREEDOM] = degrees_of_freedom(cells, grid, 3, components, factors, scratch)

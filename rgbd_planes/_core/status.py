@@ -1,4 +1,4 @@
-"""Why a part of a frame has a plane, or none."""
+"""What a part of a frame is, and why it is none."""
 
 import enum
 
@@ -42,6 +42,16 @@ class Reason(enum.IntEnum):
     """Its region is part of a curved surface."""
     NOISE = 7
     """Its region is no more of a plane than noise makes by itself."""
+
+
+class Primitive(enum.IntEnum):
+    """What a label's surface is."""
+
+    NONE = 0
+    """None of these: the noise explains no fit, or the pixels determine none."""
+    PLANE = 1
+    SPHERE = 2
+    CYLINDER = 3
 
 
 def summary_of(status: NDArray[np.uint8], residuals: Floats) -> str:

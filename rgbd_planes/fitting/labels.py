@@ -115,7 +115,7 @@ def fit_labels(
     max_missing = check_share("max_missing", max_missing)
     error = check_max_error(max_error)
     check_significance(significance, camera)
-    numbers = _check_labels(labels, camera)
+    numbers = check_labels_of(labels, camera)
     frame = as_depth_frame(depth, camera)
     warn_of_noise(frame, camera.noise)
 
@@ -134,7 +134,7 @@ def fit_labels(
     return LabelPlanes(camera=camera, method=method, labels=numbers, _pixels=pixels, **arrays)
 
 
-def _check_labels(labels: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.int32]:
+def check_labels_of(labels: npt.ArrayLike, camera: Camera) -> npt.NDArray[np.int32]:
     """Return the labels as a contiguous (H, W) int32 array of its own."""
     array = label_array("labels", labels)
     if array.shape != camera.shape:

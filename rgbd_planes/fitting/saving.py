@@ -39,7 +39,8 @@ _LONGEST_ABOUT = 2**27  # four bytes a character
 _ONLY_IN = {"tile": "TilePlanes", "sigma": "Segmentation"}
 # Public classes that read files.
 _KINDS = {
-    "LabelPlanes", "MergedPlanes", "Segmentation", "TilePlanes", "TileSurfaces", "WindowPlanes", "WindowSurfaces",
+    "LabelPlanes", "MergedPlanes", "PrimitiveFits", "Segmentation", "TilePlanes", "TileSurfaces", "WindowPlanes",
+    "WindowSurfaces",
 }  # fmt: skip
 
 

@@ -1,0 +1,1 @@
+"""Planes, spheres and cylinders by maximum likelihood in inverse depth, fitted to the pixels of labels."""
