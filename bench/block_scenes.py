@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
-from scipy.spatial import ConvexHull
 
 from rgbd_planes import Camera
 from rgbd_planes._core.arrays import Floats
@@ -69,7 +68,7 @@ def scene(sensor: Sensor, rng: np.random.Generator) -> scenes.Scene:
         cos, sin = np.cos(turn), np.sin(turn)
         corners = corners @ np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])
         corners += [size * rng.uniform(-1.6, 1.6), 0.0, size * rng.uniform(-1.5, 1.5)]
-        surfaces += [scenes.polygon(f"block {number}, face {i}", face) for i, face in enumerate(_faces(corners))]
+        surfaces += scenes.polyhedron(f"block {number}", corners)
     target = np.array([0.0, -0.5 * size, 0.0])
     eye = target - distance * np.array([0.0, np.sin(down), np.cos(down)])
     return scenes.Scene(tuple(surfaces), scenes.look_at(tuple(eye), tuple(target)))
@@ -114,28 +113,12 @@ def _block(kind: int, wide: float, high: float, deep: float, top: float) -> Floa
     return np.array([(*corner, depth) for corner in profile for depth in (-z, z)])
 
 
-def _faces(corners: Floats) -> list[list[tuple[float, ...]]]:
-    """The faces of a convex block, each as its corners in order."""
-    hull = ConvexHull(corners)
-    of_plane: dict[tuple[float, ...], set[int]] = {}
-    for plane, triangle in zip(hull.equations, hull.simplices, strict=True):
-        of_plane.setdefault(tuple(np.round(plane, 6) + 0.0), set()).update(triangle.tolist())
-    return [_in_order(corners[sorted(face)], np.array(plane[:3])) for plane, face in of_plane.items()]
-
-
-def _in_order(corners: Floats, normal: Floats) -> list[tuple[float, ...]]:
-    """The corners of a face, around it."""
-    middle = corners.mean(axis=0)
-    across = corners[0] - middle
-    angle = np.arctan2((corners - middle) @ np.cross(normal, across), (corners - middle) @ across)
-    return [tuple(corner) for corner in corners[np.argsort(angle)].tolist()]
-
-
 def _inverse_depth(seen: scenes.Scene, tan_x: Floats, tan_y: Floats) -> Floats:
     """Inverse depth where rays meet the scene, 0 where they meet nothing."""
     rays = np.stack([tan_x, tan_y, np.ones_like(tan_x)], axis=-1)
     nearest = np.zeros(tan_x.shape)
     for surface in seen.surfaces:
+        assert isinstance(surface, scenes.Surface)
         *normal, offset = seen.camera_to_scene.T @ surface.plane
         q = rays @ (np.array(normal) / -offset)
         inside = q > nearest

@@ -5,10 +5,9 @@ too many. The real frames stay what it is tested on.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from rgbd_planes import Camera
@@ -17,76 +16,22 @@ from rgbd_planes.evaluation import scenes
 from rgbd_planes.noise import KINECT_V1
 
 
-@dataclass(frozen=True)
-class Body:
-    """The points p with |(p - centre)·axis| summed in squares over the rows of ``axes`` at most 1.
-
-    Three axes make an ellipsoid, two a cylinder that ends where |(p - centre)·length| = 1.
-    """
-
-    centre: Floats
-    axes: Floats
-    length: Floats | None = None
-
-
-def ellipsoid(centre: ArrayLike, radii: ArrayLike, turn: float = 0.0) -> Body:
-    """Half axes along x, y and z before it is turned about the vertical by so many degrees."""
-    return Body(np.asarray(centre, dtype=float), _turned(turn) / np.asarray(radii, dtype=float)[:, None])
-
-
-def cylinder(centre: ArrayLike, radius: float, length: float, lying: bool = False, turn: float = 0.0) -> Body:
-    """Upright, or lying along the x axis before it is turned."""
-    axes = _turned(turn)
-    along = 0 if lying else 1
-    across = [i for i in range(3) if i != along]
-    return Body(np.asarray(centre, dtype=float), axes[across] / radius, axes[along] / (0.5 * length))
-
-
-def _turned(turn: float) -> Floats:
-    cos, sin = np.cos(np.radians(turn)), np.sin(np.radians(turn))
-    return np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])
-
-
-def render(scene: scenes.Scene, bodies: tuple[Body, ...], camera: Camera) -> tuple[Floats, NDArray[np.int32]]:
-    """Depth in metres, and labels: 0 on what is curved, new ones on the ends of cylinders."""
-    rendering = scene.render(camera)
-    depth, labels = rendering.depth.copy(), rendering.labels.copy()
-    depth[np.isnan(depth)] = np.inf
-    rays = np.stack([camera.tan_x, camera.tan_y, np.ones(camera.shape)], axis=-1)
-    rays = rays @ scene.camera_to_scene[:3, :3].T
-    for body in bodies:
-        start = scene.camera_to_scene[:3, 3] - body.centre
-        p, m = (body.axes @ start, rays @ body.axes.T)  # the ray is p + Z m, and the surface where that is 1 long
-        a, b, c = (m * m).sum(axis=-1), m @ p, p @ p - 1.0
-        root = np.sqrt(np.maximum(b * b - a * c, 0.0))
-        z = np.where(b * b > a * c, (-b - root) / a, np.inf)
-        if body.length is not None:
-            along, slope = body.length @ start, rays @ body.length
-            z[np.abs(along + z * slope) > 1.0] = np.inf
-            for end in (-1.0, 1.0):
-                cap = (end - along) / slope
-                on_cap = (((p + cap[..., None] * m) ** 2).sum(axis=-1) <= 1.0) & (cap > 0.0)
-                nearer = on_cap & (cap < np.minimum(depth, z))
-                depth[nearer], labels[nearer] = cap[nearer], labels.max() + 1
-        nearer = (z > 0.0) & (z < depth)
-        depth[nearer], labels[nearer] = z[nearer], 0
-    return depth, labels
-
-
-def furnished() -> tuple[scenes.Scene, tuple[Body, ...]]:
+def furnished() -> scenes.Scene:
     """The furnished room with balls, columns, a roll and cushions."""
-    return scenes.room(), (
-        cylinder((-0.95, -1.3, 3.2), 0.16, 2.6),
-        cylinder((0.3, -0.12, 2.5), 0.12, 0.24),
-        cylinder((0.05, -0.09, 1.75), 0.09, 0.7, lying=True, turn=25.0),
-        ellipsoid((-0.5, -0.82, 2.3), (0.16, 0.16, 0.16)),
-        ellipsoid((0.55, -0.4, 1.95), (0.24, 0.07, 0.16), turn=20.0),
-        ellipsoid((1.2, -0.2, 2.2), (0.3, 0.2, 0.12), turn=-20.0),
-        ellipsoid((-1.15, -0.25, 1.9), (0.25, 0.25, 0.25)),
+    room = scenes.room()
+    bodies = (
+        *scenes.cylinder("column", (-0.95, -1.3, 3.2), 0.16, 2.6),
+        *scenes.cylinder("drum", (0.3, -0.12, 2.5), 0.12, 0.24),
+        *scenes.cylinder("roll", (0.05, -0.09, 1.75), 0.09, 0.7, lying=True, turn=25.0),
+        scenes.ellipsoid("ball", (-0.5, -0.82, 2.3), (0.16, 0.16, 0.16)),
+        scenes.ellipsoid("cushion", (0.55, -0.4, 1.95), (0.24, 0.07, 0.16), turn=20.0),
+        scenes.ellipsoid("bag", (1.2, -0.2, 2.2), (0.3, 0.2, 0.12), turn=-20.0),
+        scenes.ellipsoid("large ball", (-1.15, -0.25, 1.9), (0.25, 0.25, 0.25)),
     )
+    return scenes.Scene((*room.surfaces, *bodies), room.camera_to_scene)
 
 
-def corner(camera_height: float = -1.2) -> tuple[scenes.Scene, tuple[Body, ...]]:
+def corner(camera_height: float = -1.2) -> scenes.Scene:
     """A sofa in a corner with cushions and a standing lamp that cuts the wall in two."""
     room = scenes.room().surfaces[:5]
     sofa = (
@@ -96,15 +41,59 @@ def corner(camera_height: float = -1.2) -> tuple[scenes.Scene, tuple[Body, ...]]
         *scenes.box("picture", (0.5, -1.2, 3.68), (0.9, 0.6, 0.03)),
         *scenes.box("shelf", (-1.6, 0.0, 2.9), (0.4, 1.5, 0.5)),
     )
-    return scenes.Scene((*room, *sofa), scenes.look_at((0.0, camera_height, 0.2), (-0.1, -0.7, 3.0))), (
-        cylinder((-0.75, -0.75, 2.4), 0.02, 1.5),
-        cylinder((-0.75, -1.5, 2.4), 0.16, 0.25),
-        ellipsoid((-0.75, 0.0, 2.4), (0.18, 0.03, 0.18)),
-        ellipsoid((0.2, -0.6, 2.92), (0.22, 0.2, 0.09)),
-        ellipsoid((0.75, -0.58, 2.9), (0.24, 0.2, 0.08), turn=15.0),
-        cylinder((0.6, -0.5, 2.45), 0.1, 0.9, lying=True, turn=8.0),
-        ellipsoid((1.15, -0.62, 2.9), (0.16, 0.18, 0.13), turn=-25.0),
+    bodies = (
+        *scenes.cylinder("pole", (-0.75, -0.75, 2.4), 0.02, 1.5),
+        *scenes.cylinder("lampshade", (-0.75, -1.5, 2.4), 0.16, 0.25),
+        scenes.ellipsoid("foot", (-0.75, 0.0, 2.4), (0.18, 0.03, 0.18)),
+        scenes.ellipsoid("cushion", (0.2, -0.6, 2.92), (0.22, 0.2, 0.09)),
+        scenes.ellipsoid("second cushion", (0.75, -0.58, 2.9), (0.24, 0.2, 0.08), turn=15.0),
+        *scenes.cylinder("bolster", (0.6, -0.5, 2.45), 0.1, 0.9, lying=True, turn=8.0),
+        scenes.ellipsoid("third cushion", (1.15, -0.62, 2.9), (0.16, 0.18, 0.13), turn=-25.0),
     )
+    return scenes.Scene((*room, *sofa, *bodies), scenes.look_at((0.0, camera_height, 0.2), (-0.1, -0.7, 3.0)))
+
+
+MESH = "mesh"
+"""What the name of a polyhedron begins with that stands for something round: its facets are no planes."""
+
+
+def solids(distance: float, size: float, turn: float = 10.0) -> scenes.Scene:
+    """Polyhedra and round things side by side before a wall, ``size`` metres large and ``distance`` away."""
+    r, pitch = 0.5 * size, 0.28 * distance
+    x, y = pitch * np.array([-1.5, -0.5, 0.5, 1.5]), pitch * np.array([-1.0, 0.0, 1.0])
+
+    def at(column: int, row: int, down: float = 0.0) -> tuple[float, float, float]:
+        return float(x[column]), float(y[row]) + down, distance
+
+    shapes = (
+        *scenes.icosahedron("icosahedron", at(0, 0), r, turn),
+        *scenes.dodecahedron("dodecahedron", at(1, 0), r, turn),
+        *scenes.prism("hexagonal prism", at(2, 0, r), r, size, 6, turn),
+        *scenes.prism("pyramid", at(3, 0, r), r, size, 4, turn),
+        *scenes.prism("octagonal prism", at(0, 1, r), r, size, 8, turn),
+        *scenes.prism("column of twelve sides", at(1, 1, r), r, size, 12, turn),
+        *scenes.prism("column of sixteen sides", at(2, 1, r), r, size, 16, turn),
+        *scenes.polyhedron(f"{MESH} of a ball", at(3, 1) + r * _sphere(400)),
+        scenes.ellipsoid("ball", at(0, 2), (r, r, r)),
+        scenes.ellipsoid("cushion", at(1, 2), (r, 0.7 * r, 0.4 * r), turn),
+        *scenes.cylinder("lampshade", at(2, 2), r, size, top=0.5, ends=False),
+        *scenes.cylinder("pipe", at(3, 2), 0.5 * r, 2.0 * r, lying=True, turn=turn),
+    )
+    wall = scenes.polygon("wall", 3.0 * distance * np.array([(-1, -1, 0.5), (1, -1, 0.5), (1, 1, 0.5), (-1, 1, 0.5)]))
+    return scenes.Scene((wall, *shapes), scenes.look_at((0.0, -0.15 * distance, 0.0), (0.0, 0.0, distance)))
+
+
+def _sphere(count: int) -> Floats:
+    """(K, 3): points on a unit sphere, about equally far apart: a Fibonacci lattice."""
+    k = np.arange(count) + 0.5
+    z, angle = 1.0 - 2.0 * k / count, np.pi * (1.0 + 5.0**0.5) * k
+    return np.column_stack([np.sqrt(1.0 - z * z) * np.cos(angle), np.sqrt(1.0 - z * z) * np.sin(angle), z])
+
+
+def flat_labels(rendering: scenes.Rendering) -> NDArray[np.int32]:
+    """The labels of a rendering, without those of facets that stand for something round."""
+    is_flat = np.array([False, *(not name.startswith(MESH) for name in rendering.names)])
+    return np.where(is_flat[rendering.labels], rendering.labels, 0).astype(np.int32)
 
 
 Measure = Callable[[Floats, int], NDArray[np.uint16]]

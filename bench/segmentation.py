@@ -236,11 +236,10 @@ def curved() -> list[Frame]:
     """Scenes with curved things in them, as each kind of sensor measures them."""
     frames = []
     for make in curved_scenes.SCENES:
-        scene, bodies = make()
         for measure, camera in curved_scenes.SENSORS:
-            depth, labels = curved_scenes.render(scene, bodies, camera)
-            raw = measure(depth, 7)
-            truth = np.where(raw > 0, labels, 0).astype(np.int32)
+            rendering = make().render(camera)
+            raw = measure(rendering.depth, 7)
+            truth = np.where(raw > 0, rendering.labels, 0).astype(np.int32)
             frames.append(Frame(f"{make.__name__}, {measure.__name__}", raw, camera, truth))
     return frames
 

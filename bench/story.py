@@ -38,14 +38,14 @@ def draw(path: Path) -> None:
 
 def _frames() -> Any:
     """Depth, tiles, followed planes, and poses so far, of each frame."""
-    scene, bodies = curved_scenes.furnished()
+    scene = curved_scenes.furnished()
     tracker, before, pose, poses = rp.PlaneTracker(), None, np.eye(4), []
     fitter = rp.TileFitter(CAMERA.with_noise(rp.noise.kinect_v1()), tile=8)
     generator = np.random.default_rng(1)
     for s in np.linspace(0.0, 1.0, FRAMES):
         eye = (0.75 - 0.8 * s, -1.45 - 0.1 * np.sin(3.0 * s), -0.35 + 0.35 * s)
         seen = scenes.Scene(scene.surfaces, scenes.look_at(eye, (-0.15 + 0.15 * s, -0.75, 2.6)))
-        depth, _ = curved_scenes.render(seen, bodies, CAMERA)
+        depth = seen.render(CAMERA).depth
         noisy = 1.0 / (1.0 / depth + generator.normal(0.0, rp.noise.KINECT_V1, depth.shape))
         missing = generator.random(depth.shape) < 0.02
         raw = np.where(missing | ~np.isfinite(noisy), 0, np.rint(1000.0 * noisy)).astype(np.uint16)

@@ -1,7 +1,7 @@
-"""Rendered piecewise planar scenes: the paper's synthetic sensor, with its ground truth.
+"""Rendered scenes of planes and curved surfaces: the paper's synthetic sensor, with its ground truth.
 
 A ray leaves the camera through the centre of every pixel and meets the nearest surface. That gives the noise-free
-depth, the surface that each pixel sees, and its plane. ``Rendering.measure`` then turns the depth into what a sensor
+depth, the surface that each pixel sees, and the planes. ``Rendering.measure`` then turns the depth into what a sensor
 would deliver: noise, missing pixels, integer units.
 
 Examples
@@ -21,10 +21,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes._core.arrays import Floats
-from rgbd_planes._core.checks import check_bool, check_share, check_whole, number, real_array, shaped_array
+from rgbd_planes._core.checks import check_bool, check_share, check_whole, number, real_array
 from rgbd_planes._core.rotations import as_motion
 from rgbd_planes._core.text import counted
 from rgbd_planes.camera.camera import Camera, check_camera
+from rgbd_planes.evaluation.surfaces import Quadric as Quadric
+from rgbd_planes.evaluation.surfaces import Surface as Surface
+from rgbd_planes.evaluation.surfaces import box as box
+from rgbd_planes.evaluation.surfaces import cylinder as cylinder
+from rgbd_planes.evaluation.surfaces import dodecahedron as dodecahedron
+from rgbd_planes.evaluation.surfaces import ellipsoid as ellipsoid
+from rgbd_planes.evaluation.surfaces import icosahedron as icosahedron
+from rgbd_planes.evaluation.surfaces import polygon as polygon
+from rgbd_planes.evaluation.surfaces import polyhedron as polyhedron
+from rgbd_planes.evaluation.surfaces import prism as prism
+from rgbd_planes.evaluation.surfaces import three_numbers
 from rgbd_planes.fitting.tile_grid import common_labels
 from rgbd_planes.noise import KINECT_V1
 
@@ -37,46 +48,14 @@ KINECT_BASELINE = 0.075
 """Metres from a Kinect v1's infrared camera to its projector (Khoshelham and Oude Elberink 2012)."""
 
 
-@dataclass(frozen=True, eq=False)
-class Surface:
-    """A part of a plane, seen from both sides.
-
-    Attributes
-    ----------
-    name : str
-        What it is: "floor", "table top".
-    plane : (4,) float64
-        n·X + d = 0 in scene coordinates, metres.
-    sides : (K, 4) float64
-        The surface is where ``sides[k]·(X, 1) >= 0`` for every k; without rows it is the whole plane.
-
-    Raises
-    ------
-    TypeError, ValueError
-        One of the arrays has another shape, or is not of finite numbers.
-    """
-
-    name: str
-    plane: Floats
-    sides: Floats
-
-    def __post_init__(self) -> None:
-        for name, axes in (("plane", 1), ("sides", 2)):
-            rows = shaped_array(name, getattr(self, name), (4,))
-            if rows.ndim != axes or not np.isfinite(rows).all():
-                expected = "(4,)" if axes == 1 else "(K, 4)"
-                raise ValueError(f"expected {name} as {expected} finite numbers, got {rows.tolist()}")
-            object.__setattr__(self, name, rows)
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Scene:
     """Surfaces, and where the camera stands among them.
 
     Attributes
     ----------
-    surfaces : tuple of Surface
-        From `polygon` and `box`, in scene coordinates, metres; any iterable of them becomes a tuple.
+    surfaces : tuple of Surface and Quadric
+        From `polygon`, `box`, `ellipsoid` and so on, in scene coordinates, metres. Any iterable becomes a tuple.
     camera_to_scene : (4, 4) float64
         Rigid motion that takes camera coordinates (x right, y down, z forward) to scene coordinates, as from `look_at`.
 
@@ -94,7 +73,7 @@ class Scene:
     >>> scene = scenes.Scene((floor, *pallet), scenes.look_at(eye=(0.3, -1.4, 0.2), target=(0.0, 0.0, 2.0)))
     """
 
-    surfaces: tuple[Surface, ...]
+    surfaces: tuple[Surface | Quadric, ...]
     camera_to_scene: Floats
 
     def __post_init__(self) -> None:
@@ -102,7 +81,7 @@ class Scene:
             raise TypeError(f"expected surfaces as an iterable, got {type(self.surfaces).__name__}")
         surfaces = tuple(self.surfaces)
         for surface in surfaces:
-            if not isinstance(surface, Surface):
+            if not isinstance(surface, (Surface, Quadric)):
                 several = ": a box is several surfaces, (floor, *box)" if isinstance(surface, Sequence) else ""
                 raise TypeError(f"expected each of surfaces as a Surface, got {type(surface).__name__}{several}")
         motion = real_array("camera_to_scene", self.camera_to_scene)
@@ -125,8 +104,8 @@ class Scene:
         Returns
         -------
         Rendering
-            Its labels count the surfaces that at least one pixel sees, in the order of the scene. Of surfaces in one
-            plane, where they overlap, the first is seen.
+            Its labels count the planes that at least one pixel sees, in the order of the scene; its curved labels the
+            quadrics. Of surfaces in one plane, where they overlap, the first is seen.
 
         Raises
         ------
@@ -137,43 +116,80 @@ class Scene:
         rays = np.stack([camera.tan_x, camera.tan_y, np.ones_like(camera.tan_x)], axis=-1).reshape(-1, 3)
         nearest = np.zeros(len(rays))  # inverse depth: 0 is infinitely far, so the largest is the nearest
         seen = np.full(len(rays), -1)
-        planes = np.array([_facing_camera(self.camera_to_scene.T @ surface.plane) for surface in self.surfaces])
+        equations = [self._in_camera(surface) for surface in self.surfaces]
         for start in range(0, len(rays), _CHUNK):
             part = slice(start, start + _CHUNK)
-            self._meet(rays[part], planes, nearest[part], seen[part])
+            self._meet(rays[part], equations, nearest[part], seen[part])
         if camera._without_ray is not None:
             nearest[camera._without_ray.ravel()] = 0.0
             seen[camera._without_ray.ravel()] = -1
 
-        is_visible = np.bincount(seen + 1, minlength=len(planes) + 1)[1:] > 0
-        visible = np.flatnonzero(is_visible)
-        labels = np.append(0, np.cumsum(is_visible)).astype(np.int32)[seen + 1]
         depth = np.full(len(rays), np.nan)
         np.divide(1.0, nearest, out=depth, where=nearest > 0.0)
+        flat = np.array([isinstance(surface, Surface) for surface in self.surfaces], bool)
         shape = (camera.height, camera.width)
+        labels, visible = _numbered(seen, flat)
+        curved_labels, visible_curved = _numbered(seen, ~flat)
         return Rendering(
             camera=camera,
             depth=depth.reshape(shape),
             labels=labels.reshape(shape),
-            planes=planes[visible].reshape(-1, 4),
+            planes=np.array([equations[index] for index in visible]).reshape(-1, 4),
             names=tuple(self.surfaces[index].name for index in visible),
+            curved_labels=curved_labels.reshape(shape),
+            curved_names=tuple(self.surfaces[index].name for index in visible_curved),
         )
 
-    def _meet(self, rays: Floats, planes: Floats, nearest: Floats, seen: NDArray[np.int64]) -> None:
+    def _in_camera(self, surface: Surface | Quadric) -> Floats:
+        """The plane (4,) of a surface in camera coordinates, its normal towards the camera, or a quadric's matrix."""
+        if isinstance(surface, Quadric):
+            return self.camera_to_scene.T @ surface.matrix @ self.camera_to_scene
+        return _facing_camera(self.camera_to_scene.T @ surface.plane)
+
+    def _meet(self, rays: Floats, equations: list[Floats], nearest: Floats, seen: NDArray[np.int64]) -> None:
         """Write the inverse depth and the index of the nearest surface on each ray; ``nearest`` is 0 before."""
-        for index, (surface, (*normal, offset)) in enumerate(zip(self.surfaces, planes, strict=True)):
-            if abs(offset) <= _ROUNDED * (abs(surface.plane[3]) + np.linalg.norm(self.camera_to_scene[:3, 3])):
+        for index, (surface, equation) in enumerate(zip(self.surfaces, equations, strict=True)):
+            met: tuple[Floats, ...]
+            if isinstance(surface, Quadric):
+                met = _on_quadric(rays, equation)
+            elif equation[3] <= _ROUNDED * (abs(surface.plane[3]) + np.linalg.norm(self.camera_to_scene[:3, 3])):
                 continue  # seen edge-on: no pixel shows it
-            inverse_depth = rays @ (np.array(normal) / -offset)
-            hit = np.flatnonzero(inverse_depth > nearest * (1.0 + _ROUNDED))
-            # sides·(X, 1) >= 0 with X = m / q, multiplied by q > 0: no division
-            for side in surface.sides @ self.camera_to_scene:
-                if not len(hit):
-                    break
-                # An index takes several times as long to take rows as `take`.
-                hit = hit[rays.take(hit, axis=0) @ side[:3] + side[3] * inverse_depth[hit] >= 0.0]
-            nearest[hit] = inverse_depth[hit]
-            seen[hit] = index
+            else:
+                met = (rays @ (equation[:3] / -equation[3]),)
+            sides = surface.sides @ self.camera_to_scene
+            for inverse_depth in met:
+                hit = np.flatnonzero(inverse_depth > nearest * (1.0 + _ROUNDED))
+                # sides·(X, 1) >= 0 with X = m / q, multiplied by q > 0: no division
+                for side in sides:
+                    if not len(hit):
+                        break
+                    # An index takes several times as long to take rows as `take`.
+                    hit = hit[rays.take(hit, axis=0) @ side[:3] + side[3] * inverse_depth[hit] >= 0.0]
+                nearest[hit] = inverse_depth[hit]
+                seen[hit] = index
+
+
+def _on_quadric(rays: Floats, matrix: Floats) -> tuple[Floats, Floats]:
+    """Inverse depths at which rays meet a quadric in camera coordinates; 0 where they miss it.
+
+    With X = m / q its equation is (m, q)ᵀ matrix (m, q) = 0: c q² + 2 b q + a = 0.
+    """
+    a = ((rays @ matrix[:3, :3]) * rays).sum(axis=1)
+    b, c = rays @ matrix[:3, 3], matrix[3, 3]
+    square = b * b - a * c
+    # The root that adds two numbers of one sign, and a / c over it: none of the two loses digits, and c may be 0.
+    larger = -(b + np.copysign(np.sqrt(np.maximum(square, 0.0)), b))
+    first, second = np.zeros_like(b), np.zeros_like(b)
+    np.divide(larger, c, out=first, where=(square >= 0.0) & (c != 0.0))
+    np.divide(a, larger, out=second, where=(square >= 0.0) & (larger != 0.0))
+    return first, second
+
+
+def _numbered(seen: NDArray[np.int64], chosen: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Labels 1, 2, ... of the chosen surfaces that pixels see, 0 for other pixels, and these surfaces."""
+    is_visible = (np.bincount(seen + 1, minlength=len(chosen) + 1)[1:] > 0) & chosen
+    labels = np.where(is_visible, np.cumsum(is_visible), 0)
+    return np.append(0, labels).astype(np.int32)[seen + 1], np.flatnonzero(is_visible)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -191,6 +207,10 @@ class Rendering:
         n·X + d = 0 in camera coordinates, ‖n‖ = 1, d > 0; row i belongs to label i + 1.
     names : tuple of str
         What each plane is, in the order of `planes`.
+    curved_labels : (H, W) int32
+        Which curved surface each pixel sees: 0 none, 1..M.
+    curved_names : tuple of str
+        What each curved surface is.
     """
 
     camera: Camera
@@ -198,10 +218,13 @@ class Rendering:
     labels: NDArray[np.int32]
     planes: Floats
     names: tuple[str, ...]
+    curved_labels: NDArray[np.int32]
+    curved_names: tuple[str, ...]
 
     def __repr__(self) -> str:
         size = f"{self.camera.width} x {self.camera.height}"
-        return f"<Rendering: {counted(len(self.planes), 'plane')} in {size} pixels>"
+        curved = f", {counted(len(self.curved_names), 'curved surface')}" if self.curved_names else ""
+        return f"<Rendering: {counted(len(self.planes), 'plane')}{curved} in {size} pixels>"
 
     def measure(
         self,
@@ -291,89 +314,13 @@ def plane(normal: ArrayLike, distance: float) -> Scene:
     TypeError, ValueError
         The normal is zero or not finite, or the distance is not a positive number.
     """
-    direction = _three("normal", normal)
+    direction = three_numbers("normal", normal)
     if not direction.any():
         raise ValueError(f"expected normal as a direction, got {normal!r}")
     distance = number("distance", distance)
     if not distance > 0.0:
         raise ValueError(f"distance must be positive, in metres, got {distance}")
     return Scene((_whole_plane("plane", direction / np.linalg.norm(direction), distance),), np.eye(4))
-
-
-def polygon(name: str, vertices: ArrayLike) -> Surface:
-    """A convex polygon.
-
-    Parameters
-    ----------
-    name : str
-    vertices : (K, 3) float
-        Corners in order around the polygon, in metres, scene coordinates.
-
-    Raises
-    ------
-    TypeError, ValueError
-        There are fewer than three corners, or they are not those of a flat, convex polygon, or not numbers.
-    """
-    points = real_array("vertices", vertices)
-    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 3:
-        raise ValueError(f"vertices must be (K, 3) with K >= 3, got shape {points.shape}")
-    edges = np.roll(points, -1, axis=0) - points
-    normal = np.cross(points - points[0], np.roll(points, -1, axis=0) - points[0]).sum(axis=0)
-    size = np.linalg.norm(edges, axis=1).max()
-    area = np.linalg.norm(normal)
-    if not area > 1e-9 * size**2:
-        raise ValueError(f"the corners of {name!r} enclose no area: {points.tolist()}")
-    normal /= area
-    inward = np.cross(normal, edges)
-    sides = np.column_stack([inward, -(inward * points).sum(axis=1)])
-    heights = (points - points[0]) @ normal
-    inside = points @ inward.T + sides[:, 3]
-    if np.abs(heights).max() > 1e-9 * size or inside.min() < -1e-9 * size**2:
-        raise ValueError(f"the corners of {name!r} are not those of a flat, convex polygon: {points.tolist()}")
-    return Surface(name, np.append(normal, -normal @ points[0]), sides)
-
-
-def box(name: str, foot: ArrayLike, size: ArrayLike, turn: float = 0.0) -> tuple[Surface, ...]:
-    """Six faces of a box that stands upright (y points down).
-
-    Parameters
-    ----------
-    name : str
-        Of the box; its faces are called "<name> top", "<name> front" and so on.
-    foot : (3,) float
-        Centre of its bottom face, in metres, scene coordinates.
-    size : (3,) float
-        Width (x), height (y) and depth (z) in metres, before it is turned.
-    turn : float
-        Rotation about the vertical axis in degrees.
-
-    Raises
-    ------
-    TypeError, ValueError
-        A side is not a positive length, or there are not three finite numbers.
-    """
-    width, height, depth = sides = _three("size", size)
-    if not (sides > 0.0).all():
-        raise ValueError(f"expected size as three positive lengths in metres, got {size!r}")
-    turn = number("turn", turn)
-    cos, sin = np.cos(np.radians(turn)), np.sin(np.radians(turn))
-    across = 0.5 * width * np.array([cos, 0.0, -sin])
-    along = 0.5 * depth * np.array([sin, 0.0, cos])
-    up = 0.5 * height * np.array([0.0, -1.0, 0.0])
-    centre = _three("foot", foot) + up
-
-    def face(side: str, outward: Floats, u: Floats, v: Floats) -> Surface:
-        middle = centre + outward
-        return polygon(f"{name} {side}", [middle - u - v, middle + u - v, middle + u + v, middle - u + v])
-
-    return (
-        face("top", up, across, along),
-        face("bottom", -up, across, along),
-        face("front", -along, across, up),
-        face("back", along, across, up),
-        face("left side", -across, along, up),
-        face("right side", across, along, up),
-    )
 
 
 def room(eye: ArrayLike = (0.35, -1.5, -0.2), target: ArrayLike = (-0.12, -0.8, 2.6)) -> Scene:
@@ -427,8 +374,8 @@ def look_at(eye: ArrayLike, target: ArrayLike) -> Floats:
     TypeError, ValueError
         They are not three finite numbers each, or the camera would look straight up or down, or nowhere.
     """
-    position = _three("eye", eye)
-    forward = _three("target", target) - position
+    position = three_numbers("eye", eye)
+    forward = three_numbers("target", target) - position
     right = np.cross((0.0, 1.0, 0.0), forward)
     if not np.linalg.norm(right) > 1e-9 * np.linalg.norm(forward):
         raise ValueError(f"the camera must look somewhere, not straight up or down, got eye {eye!r}, target {target!r}")
@@ -441,14 +388,6 @@ def look_at(eye: ArrayLike, target: ArrayLike) -> Floats:
 
 def _whole_plane(name: str, normal: Floats, offset: float) -> Surface:
     return Surface(name, np.append(normal, offset), np.empty((0, 4)))
-
-
-def _three(name: str, values: ArrayLike) -> Floats:
-    """(3,) float64: three finite numbers."""
-    vector = real_array(name, values)
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise ValueError(f"expected {name} as three finite numbers, got {values!r}")
-    return vector
 
 
 def _facing_camera(coefficients: Floats) -> Floats:

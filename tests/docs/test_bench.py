@@ -24,6 +24,7 @@ from bench import (
     operations,
     peers,
     plots,
+    polyhedra,
     readme,
     real_sensors,
     report,
@@ -714,51 +715,6 @@ def special_ratio(eta):
     return 0.5 * (low + high)
 
 
-def test_curved_things_are_where_they_are_said_to_be():
-    """A ball, an upright and a lying cylinder before a wall, against distances worked out by hand."""
-    camera = rp.Camera(161, 121, 100.0, 100.0, 80.000001, 60.000001)  # no ray across a cylinder
-    scene = rp.scenes.plane((0.0, 0.0, -1.0), 5.0)
-
-    def seen(*bodies):
-        return curved_scenes.render(scene, bodies, camera)
-
-    depth, labels = seen(curved_scenes.ellipsoid((0.0, 0.0, 3.0), (0.5, 0.4, 1.0)))
-    assert (depth[60, 80], labels[60, 80]) == (pytest.approx(2.0), 0)
-    x, y = camera.tan_x * depth, camera.tan_y * depth
-    inside = (x / 0.5) ** 2 + (y / 0.4) ** 2 + (depth - 3.0) ** 2
-    assert np.abs(inside[labels == 0] - 1.0).max() < 1e-9
-    np.testing.assert_allclose(depth[labels == 1], 5.0)
-    assert inside[labels == 1].min() > 1.0
-    turned, _ = seen(curved_scenes.ellipsoid((0.0, 0.0, 3.0), (0.5, 0.4, 1.0), turn=90.0))
-    assert turned[60, 80] == pytest.approx(2.5)
-    turned, _ = seen(curved_scenes.ellipsoid((0.0, 0.0, 3.0), (1.0, 0.2, 0.2), turn=30.0))
-    assert turned[60, 105] < turned[60, 80] < turned[60, 60] < 5.0  # whose right end comes nearer
-    cos, sin, x, y, off = 0.75**0.5, 0.5, camera.tan_x * turned, camera.tan_y * turned, turned - 3.0
-    square = (cos * x - sin * off) ** 2 + (y / 0.2) ** 2 + ((sin * x + cos * off) / 0.2) ** 2
-    np.testing.assert_allclose(square[turned < 4.9], 1.0)
-    upright, labels = seen(curved_scenes.cylinder((0.0, 0.0, 3.0), 0.5, 1.0))
-    assert upright[60, 80] == pytest.approx(2.5)
-    top = 2.5 * camera.tan_y[:, 0] if camera.tan_y.ndim > 1 else 2.5 * camera.tan_y
-    rows = np.flatnonzero(labels[:, 80] == 0)
-    assert np.abs(np.ravel(top)[rows]).max() == pytest.approx(0.5, abs=0.03)
-    lying, _ = seen(curved_scenes.cylinder((0.0, 0.0, 3.0), 0.5, 1.0, lying=True))
-    assert (lying[60, 80], lying[40, 80] > 2.5, lying[60, 61]) == (pytest.approx(2.5), True, pytest.approx(2.5))
-    below, labels = seen(curved_scenes.cylinder((0.0, 1.0, 3.0), 0.5, 1.0))  # whose upper end is at y = 0.5
-    end = labels == 2
-    assert end.any()
-    np.testing.assert_allclose((camera.tan_y * below)[end], 0.5)
-    assert np.hypot((camera.tan_x * below)[end], below[end] - 3.0).max() <= 0.5
-    hidden, labels = seen(curved_scenes.ellipsoid((0.0, 0.0, 7.0), (0.5, 0.5, 0.5)))
-    np.testing.assert_allclose(hidden, 5.0)
-    assert (labels == 1).all()
-    for body in (
-        curved_scenes.ellipsoid((0.0, 0.0, -3.0), (0.5, 0.5, 0.5)),
-        curved_scenes.cylinder((0.0, 1.0, -3.0), 0.5, 1.0),
-    ):
-        behind, _ = seen(body)
-        np.testing.assert_allclose(behind, 5.0)
-
-
 def test_sensors_of_curved_scenes_err_as_they_say():
     depth = np.full((480, 640), 2.0)
     expected = {"kinect": (5.7, 0.03), "stereo": (5.3, 0.03), "time_of_flight": (4.0, 0.01), "scanner": (1.3, 0.0)}
@@ -773,10 +729,25 @@ def test_sensors_of_curved_scenes_err_as_they_say():
         assert 1e3 * seen.std() == pytest.approx(millimetres, rel=0.06)
         assert seen.mean() == pytest.approx(2.0, abs=0.004)
     assert (curved_scenes.scanner(depth, 1) % 2 == 0).all()
-    for scene, bodies in (make() for make in curved_scenes.SCENES):
-        seen, labels = curved_scenes.render(scene, bodies, curved_scenes.SENSORS[0][1])
-        assert (labels == 0).mean() > 0.05
-        assert np.isfinite(seen).all()
+    for rendering in (make().render(curved_scenes.SENSORS[0][1]) for make in curved_scenes.SCENES):
+        assert (rendering.curved_labels > 0).mean() > 0.05
+        assert np.isfinite(rendering.depth).all()
+
+
+def test_facets_that_stand_for_something_round_are_no_faces():
+    rendering = curved_scenes.solids(1.5, 0.3).render(rp.Camera(160, 120, 131.0, 131.0, 79.5, 59.5))
+    flat = curved_scenes.flat_labels(rendering)
+    is_mesh = np.array([False, *(name.startswith(curved_scenes.MESH) for name in rendering.names)])[rendering.labels]
+    assert 200 < np.count_nonzero(is_mesh) < 2000
+    np.testing.assert_array_equal(flat, np.where(is_mesh, 0, rendering.labels))
+
+
+def test_faces_that_are_found_are_counted():
+    truth = np.ones((60, 60), np.int32)
+    truth[10:30, 10:30], truth[10:30, 40:58], truth[40:50, 10:20], truth[40:58, 40:58] = 2, 3, 4, 0
+    labels = truth.copy()
+    labels[10:30, 40:45], labels[41:58, 41:58] = 0, 5  # a quarter of a face is missing; a plane where none is
+    assert polyhedra.faces_found(labels, truth) == (1, 2, 1)
 
 
 def test_intervals_of_ratios_are_those_of_other_parts(rng):
