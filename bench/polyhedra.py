@@ -1,7 +1,7 @@
 """Whether polyhedra keep their faces and round things have none: ``python -m bench.polyhedra``.
 
 Icosahedra, prisms and columns beside balls, cushions, lampshades and pipes, in several sizes, distances and noises.
-A face is found if a label covers it by Hoover's measure at 80 %; a false plane is a label that covers no face.
+A face is found by Hoover's measure at 80 %. A false plane is a label that is no face by this measure.
 """
 
 from collections.abc import Iterator

@@ -71,7 +71,7 @@ class Quadric:
     def __post_init__(self) -> None:
         _check_rows(self, "matrix", "(4, 4)")
         _check_rows(self, "sides", "(K, 4)")
-        if not np.allclose(self.matrix, self.matrix.T, rtol=1e-9, atol=0.0):
+        if np.abs(self.matrix - self.matrix.T).max() > 1e-9 * np.abs(self.matrix).max():
             raise ValueError(f"expected matrix as a symmetric one, got {self.matrix.tolist()}")
 
 
