@@ -72,6 +72,8 @@ def add_derivatives(label, surface, kind, is_shared, grid, work, normal, alone, 
         evaluate(us, vs, qs, weights, begin, end, surface, f, work)
         if is_shared:
             for i in range(begin, end):
+                if weights[i] == 0.0:
+                    continue
                 cell = ((rows[i] - top) >> shift) * across + ((columns[i] - left) >> shift)
                 share = shares[i]
                 for j in range(number):
@@ -79,7 +81,7 @@ def add_derivatives(label, surface, kind, is_shared, grid, work, normal, alone, 
                 cells[SHARE, cell] += share
                 cells[COUNT, cell] += 1.0
         for i in range(begin, end):
-            independent += 1.0 - shares[i] * shares[i]
+            independent += 1.0 - shares[i] * shares[i] if weights[i] > 0.0 else 0.0
         for j in range(number):
             for i in range(count):
                 weighted[i] = (1.0 - shares[begin + i] ** 2) * work[j, i]
@@ -99,8 +101,8 @@ def write_errors(label, surface, kind, components, room, covariance):
     Parameters
     ----------
     label : pixels, weights, shares, places
-        Of one label: us, vs and qs (M,) float64 each; 1/σ and what neighbours may share, (M,) float64; rows and
-        columns, (M,) int32 each.
+        Of one label: us, vs and qs (M,) float64 each; 1/σ, 0 for outliers, and what neighbours may share, (M,) float64;
+        rows and columns, (M,) int32 each.
     surface : (SURFACE,) float64
     kind : int
     components : (C, 2) float64
@@ -118,7 +120,9 @@ def write_errors(label, surface, kind, components, room, covariance):
         the same mean and variance has (Satterthwaite 1946). NaN where the pixels determine no surface.
     """
     work, cells, scratch, factors = room
-    places, count, number = label[3], float(len(label[1])), parameters_of(kind)
+    places, number, count = label[3], parameters_of(kind), 0.0
+    for weight in label[1]:
+        count += weight > 0.0
     top, left, tall, wide, shift = grid_of(places)
     lines, columns = ((tall - 1) >> shift) + 1, ((wide - 1) >> shift) + 1
     is_shared = False

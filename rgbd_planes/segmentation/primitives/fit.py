@@ -60,7 +60,8 @@ def fit_primitives(
         0 for none, 1..K. Each label has a row in the result; a mask is label 1. ``segment(...).labels`` are planes.
     noise : float, callable or noise model, optional
         Standard deviation of inverse depth in 1/m, a function of the inverse depth that gives it, or a noise model. By
-        default ``camera.noise``; without either, it is what `segment` finds in the frame.
+        default ``camera.noise``; without either, it is what `segment` finds in the frame, which is known to a factor of
+        two where neighbours share errors. A model by `estimate_noise` tells more surely what is none.
     significance : float, optional
         How often a surface that is of a kind is called none, and a plane curved, by chance. None is 0.01; at 0 each
         label is of the kind that fits best.
@@ -83,7 +84,8 @@ def fit_primitives(
     Notes
     -----
     Interior pixels count, whose measured neighbours have the label, too: at an outline a pixel may see both sides.
-    Where fewer than half are interior, all count. Pixels are weighted by the variance that the noise gives them,
+    Where fewer than half are interior, all count. Outliers of four standard deviations are left out, unless they are
+    more than 15 % of a label: then it is none of the three. Pixels are weighted by their variance under the noise,
     errors across the ray included, at the depth and slope of the fit. The covariance is A⁻¹BA⁻¹, with A of the normal
     equations and B the covariance of their right-hand side, errors that neighbours share included. Curvature is tested
     by what it is in its standard deviations, and residuals by a chi-square of the mean and variance that the noise
@@ -118,12 +120,13 @@ def _fit(found: LabelPixels, noise: PixelNoise) -> Fitted:
     """Fit the three kinds to each label, and work out their errors."""
     count, number = len(found.first) - 1, found.pixels.shape[1]
     surfaces, totals = np.empty((count, 3, SURFACE)), np.empty((count, 3))
-    weights, shares = np.empty((2, number))
+    weights, shares = np.ones((2, number))
     fit_labels(found.pixels, found.first, noise.settings, surfaces, totals, weights, shares)
     covariances, chances = np.empty((count, 3, PARAMETERS, PARAMETERS)), np.empty((count, 3, 2))
     write_errors_of_labels(
         found.pixels, found.places, found.first, (weights, shares), surfaces, noise.components, covariances, chances
     )
-    squares = np.append(weights * weights, 0.0)
-    weight = np.where(np.diff(found.first) > 0, np.add.reduceat(squares, found.first[:-1]), 0.0) if count else weights
-    return Fitted(surfaces, totals, covariances, chances, np.diff(found.first), weight, noise.spread)
+    of_label = np.repeat(np.arange(count), np.diff(found.first))
+    weight = np.bincount(of_label, weights * weights, count).astype(np.float64)
+    counts = np.bincount(of_label, weights > 0.0, count).astype(np.int32)
+    return Fitted(surfaces, totals, covariances, chances, counts, weight, noise.spread)

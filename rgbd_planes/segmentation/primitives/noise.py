@@ -19,6 +19,11 @@ from rgbd_planes.segmentation.segment import check_settings
 from rgbd_planes.segmentation.workspace import rays_of, workspaces
 from rgbd_planes.uncertainty.statistics import settings_of
 
+_FLOOR = 8.0
+"""Correlation length in pixels of errors that bend whole surfaces: that of `NoiseModel.floor_length`."""
+_SPREAD = 0.6
+"""`NoiseModel.spread` where the noise is a frame's: to a factor of two its deviation is not known."""
+
 
 class PixelNoise(NamedTuple):
     """Variances of pixels' inverse depths, and how neighbours share them.
@@ -42,7 +47,9 @@ def noise_of_pixels(frame: DepthFrame, camera: Camera, noise: Any) -> PixelNoise
     """A noise model's, or what `segment` takes for the frame's noise.
 
     A frame shows how many pixels have one error between them. Errors of the correlation exp(-r²/(2·length²)) are so
-    shared by 2π·length² pixels.
+    shared by 2π·length² pixels. By how much more its squares of 32 pixels err than small ones are errors that reach
+    farther. A sensor whose pixels share errors has others, too, that one frame does not show: its variance counts as
+    one that differs from place to place.
     """
     noise = camera.noise if noise is None else noise
     if isinstance(noise, NoiseModel):
@@ -56,5 +63,7 @@ def noise_of_pixels(frame: DepthFrame, camera: Camera, noise: Any) -> PixelNoise
     settings = np.zeros(VARIANCES + 2 * len(variances))
     settings[[LATERAL_X, LATERAL_Y, SCALE]] = found.lateral_variance_x, found.lateral_variance_y, 1.0 / found.sigma[0]
     settings[VARIANCES : VARIANCES + len(variances)] = variances
-    length = math.sqrt(about.together / (2.0 * math.pi)) if about.together > 1.0 else 0.0
-    return PixelNoise(settings, np.array([[1.0, length]]), 0.0)
+    shares_errors = about.together > 1.0
+    length = math.sqrt(about.together / (2.0 * math.pi)) if shares_errors else 0.0
+    floor = max(float(found.growth.max()) ** 2 - 1.0, 0.0)
+    return PixelNoise(settings, np.array([[1.0, length], [floor, _FLOOR]]), _SPREAD if shares_errors else 0.0)

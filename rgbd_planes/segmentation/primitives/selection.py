@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from rgbd_planes._core.arrays import Floats, Indices
+from rgbd_planes._core.arrays import Floats
 from rgbd_planes._core.status import Primitive, TileStatus
 from rgbd_planes.kernels.segmentation.primitives.quadric import CYLINDER, KAPPA, NORMAL, PLANE, Q0, RAY, SPHERE, A, B
 from rgbd_planes.noise.correlation import deviate_of
@@ -25,7 +25,7 @@ class Fitted(NamedTuple):
     totals: Floats  # (K, 3): sums of squared residuals over their variances
     covariances: Floats  # (K, 3, 5, 5): of their parameters
     chances: Floats  # (K, 3, 2): expected totals, and their degrees of freedom
-    counts: Indices  # (K,): pixels
+    counts: npt.NDArray[np.int32]  # (K,): pixels of the fit
     weight: Floats  # (K,): sums of 1/σ²
     spread: float  # of the noise
 
