@@ -10,6 +10,7 @@ Folders, lowest first; each uses only those before it:
 - `statistics`: how good a plane is
 - `segmentation`: the planes of a frame, and the pixels of each
 - `egomotion`: tiles of a frame against planes of other frames
+- `tracking`: a frame's labels by squares, for planes that are seen again
 
 Habits of these kernels, each because it was measured:
 

@@ -2,7 +2,8 @@
 
 A motion takes points of the frame to a reference's camera: Y = R·X + t. A plane α of the reference, α·Y = 1, is
 α' = Rᵀα / (1 - α·t) in the frame. A tile's residual is r = α'·m - q, with its ray m and its inverse depth q. For a
-small motion δ = (ω, τ) before that one, X → X + ω × X + τ, its derivative is (m × α', (α'·m) α').
+small motion δ = (ω, τ) before that one, X → X + ω × X + τ, its derivative is (m × α', (α'·m) α'). Steps τ are in units
+of a depth, so that turns and steps have derivatives of one size.
 """
 
 import math
@@ -11,12 +12,9 @@ from .._jit.kernel import kernel
 
 COLUMNS = 8  # of a match: the derivative's six, the residual, the number of the tile
 
-# Entries of the sums of a group, see `sum_groups`: where each part begins, and how many there are.
-WEIGHT, SQUARES, NORMAL, RIGHT, CROSS, SUMS = 0, 1, 2, 8, 11, 29
-
 
 @kernel(arrays=False)
-def match_tiles(tiles, motions, models, table, bounds, gate, least_cosine, matches, counts):
+def match_tiles(tiles, motions, models, table, bounds, limits, matches, counts):
     """Match each tile with the plane that each reference has where the tile's middle is seen there.
 
     Parameters
@@ -31,10 +29,9 @@ def match_tiles(tiles, motions, models, table, bounds, gate, least_cosine, match
         Tile that a ray meets, by the cells of a grid of rays; -1 outside the image.
     bounds : (4,) float64
         Least tanθx and tanθy of the grid, and cells per tangent along both.
-    gate : float
-        Largest residual, as a share of q.
-    least_cosine : float
-        Of the angle between the tile's own normal and the reference's plane.
+    limits : tuple of float
+        Largest residual, as a share of q; least cosine of the angle between the tile's own normal and the reference's
+        plane; the unit of steps, in metres.
     matches : (>= K·N, COLUMNS) float64
         Written: the matches of one reference after those of the other.
     counts : (K,) int64
@@ -46,6 +43,7 @@ def match_tiles(tiles, motions, models, table, bounds, gate, least_cosine, match
         Number of matches.
     """
     height, width = table.shape
+    gate, least_cosine, unit = limits
     total = 0
     for k in range(len(motions)):
         first = total
@@ -58,8 +56,9 @@ def match_tiles(tiles, motions, models, table, bounds, gate, least_cosine, match
             z = r20 * u + r21 * v + r22 + t2 * q
             if not z > 0.01:
                 continue
-            column = ((r00 * u + r01 * v + r02 + t0 * q) / z - bounds[0]) * bounds[2]
-            row = ((r10 * u + r11 * v + r12 + t1 * q) / z - bounds[1]) * bounds[3]
+            nearness = 1.0 / z
+            column = ((r00 * u + r01 * v + r02 + t0 * q) * nearness - bounds[0]) * bounds[2]
+            row = ((r10 * u + r11 * v + r12 + t1 * q) * nearness - bounds[1]) * bounds[3]
             if not (0.0 <= row < height and 0.0 <= column < width):
                 continue
             there = table[int(row), int(column)]
@@ -69,9 +68,10 @@ def match_tiles(tiles, motions, models, table, bounds, gate, least_cosine, match
             scale = 1.0 - (a * t0 + b * t1 + c * t2)
             if not scale > 0.0:  # behind the plane, or there is none
                 continue
-            x = (r00 * a + r10 * b + r20 * c) / scale
-            y = (r01 * a + r11 * b + r21 * c) / scale
-            w = (r02 * a + r12 * b + r22 * c) / scale
+            scale = 1.0 / scale
+            x = (r00 * a + r10 * b + r20 * c) * scale
+            y = (r01 * a + r11 * b + r21 * c) * scale
+            w = (r02 * a + r12 * b + r22 * c) * scale
             predicted = x * u + y * v + w
             residual = predicted - q
             if not abs(residual) < gate * q:
@@ -83,49 +83,12 @@ def match_tiles(tiles, motions, models, table, bounds, gate, least_cosine, match
             matches[total, 0] = v * w - y
             matches[total, 1] = x - u * w
             matches[total, 2] = u * y - v * x
-            matches[total, 3] = predicted * x
-            matches[total, 4] = predicted * y
-            matches[total, 5] = predicted * w
+            step = unit * predicted
+            matches[total, 3] = step * x
+            matches[total, 4] = step * y
+            matches[total, 5] = step * w
             matches[total, 6] = residual
             matches[total, 7] = i
             total += 1
         counts[k] = total - first
     return total
-
-
-@kernel(arrays=False)
-def sum_groups(matches, tiles, groups, weights, sums):
-    """Sum matches by the planes of the frame.
-
-    Parameters
-    ----------
-    matches : (M, COLUMNS) float64
-    tiles : (N, 6) float64
-    groups : (N,) intp
-        Group of each tile, from 0.
-    weights : (M,) float64
-    sums : (G, SUMS) float64
-        Written: from WEIGHT, Σw; SQUARES, Σw²; NORMAL, Σw·m·mᵀ as xx, xy, xz, yy, yz, zz; RIGHT, Σw·m·r; CROSS,
-        Σw·J·mᵀ, row by row.
-    """
-    sums[:] = 0.0
-    for k in range(len(matches)):
-        i = int(matches[k, 7])
-        g, w = groups[i], weights[k]
-        u, v, r = tiles[i, 0], tiles[i, 1], matches[k, 6]
-        sums[g, 0] += w
-        sums[g, 1] += w * w
-        sums[g, 2] += w * u * u
-        sums[g, 3] += w * u * v
-        sums[g, 4] += w * u
-        sums[g, 5] += w * v * v
-        sums[g, 6] += w * v
-        sums[g, 7] += w
-        sums[g, 8] += w * r * u
-        sums[g, 9] += w * r * v
-        sums[g, 10] += w * r
-        for j in range(6):
-            derivative = w * matches[k, j]
-            sums[g, 11 + 3 * j] += derivative * u
-            sums[g, 12 + 3 * j] += derivative * v
-            sums[g, 13 + 3 * j] += derivative

@@ -7,9 +7,9 @@ errors, those of the sensor's lens and of the plane's own fit: so a plane's tile
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,16 +17,14 @@ from numpy.typing import NDArray
 from rgbd_planes._core.arrays import Floats
 from rgbd_planes._core.rotations import nearest_rotation
 from rgbd_planes.egomotion.frame_tiles import FrameTiles, TileRays
-from rgbd_planes.kernels.egomotion.match_tiles import (
-    COLUMNS,
-    CROSS,
-    NORMAL,
-    RIGHT,
-    SQUARES,
+from rgbd_planes.kernels.common.quantiles import quantile
+from rgbd_planes.kernels.egomotion.match_tiles import COLUMNS, match_tiles
+from rgbd_planes.kernels.egomotion.normal_equations import (
     SUMS,
-    WEIGHT,
-    match_tiles,
-    sum_groups,
+    feigned_systems,
+    normal_equations,
+    spread_of_right,
+    sum_crosses,
 )
 
 ROUNDS = 5  # of Gauss-Newton, at most
@@ -89,11 +87,13 @@ class Alignment:
 
 
 def exponential(delta: Floats) -> Floats:
-    """(4, 4): the motion of a small step, a rotation vector and a translation, to first order in their product."""
-    from scipy.spatial.transform import Rotation
-
+    """(4, 4): the motion of a step, a rotation vector and a translation (Rodrigues 1840)."""
+    x, y, z = delta[:3].tolist()
+    angle = math.sqrt(x * x + y * y + z * z)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    sine, half = (math.sin(t) / t if t > 0.0 else 1.0 for t in (angle, 0.5 * angle))
     motion = np.eye(4)
-    motion[:3, :3] = Rotation.from_rotvec(delta[:3]).as_matrix()
+    motion[:3, :3] += sine * cross + 0.5 * half * half * (cross @ cross)
     motion[:3, 3] = delta[3:]
     return motion
 
@@ -118,28 +118,13 @@ class Aligner:
 
     def __init__(self, rays: TileRays) -> None:
         self._rays = rays
-
-    def match(
-        self, frame: FrameTiles, references: Sequence[Reference], pose: Floats
-    ) -> tuple[Floats, NDArray[np.intp]]:
-        """Matches of a frame at a pose, (M, COLUMNS), and of which reference each is, (M,)."""
-        motions = np.array([(inverse(reference.pose) @ pose)[:3] for reference in references])
-        models = np.array([reference.model for reference in references])
-        matches = np.empty((len(references) * len(frame.tiles), COLUMNS))
-        counts = np.zeros(len(references), np.int64)
-        rays = self._rays
-        total = match_tiles(
-            frame.tiles, motions, models, rays.table, rays.bounds, GATE, LEAST_COSINE, matches, counts
-        )  # fmt: skip
-        return matches[:total], np.repeat(np.arange(len(references)), counts)
+        self._matches = np.empty((0, COLUMNS))  # kept: to get so much memory anew takes as long as to fill it
 
     def shares(self, frame: FrameTiles, references: Sequence[Reference], pose: Floats) -> Floats:
         """(K,): share of the frame's tiles that each reference has matches of, at a pose."""
         if not references or not len(frame.tiles):
             return np.zeros(len(references))
-        matches, which = self.match(frame, references, pose)
-        near = np.abs(matches[:, 6]) <= _largest_residual(frame, matches)
-        return np.asarray(np.bincount(which[near], minlength=len(references)) / len(frame.tiles))
+        return _shares(frame, *self._match(frame, *_stacked(references), pose))
 
     def align(
         self, frame: FrameTiles, references: Sequence[Reference], pose: Floats, counted: int | None = None
@@ -157,99 +142,77 @@ class Aligner:
         """
         if not references or len(frame.tiles) < FEWEST:
             return None
-        depth = 1.0 / frame.median_inverse_depth
-        units = np.array([1.0, 1.0, 1.0, depth, depth, depth])
+        to_references, models = _stacked(references)
+        units = np.repeat([1.0, frame.depth], 3)
+        sums = np.empty((len(frame.counts), SUMS))
+        systems, feigned, right = np.empty((2, 6, 6)), np.empty((2, 6, 6)), np.empty(6)
+        arrays = frame.tiles, frame.groups, frame.counts, frame.plane_count
+        turned = (LEAST_ANGLE / frame.depth) ** 2
         for _ in range(ROUNDS):
-            matches, which = self.match(frame, references, pose)
+            matches, counts = self._match(frame, to_references, models, pose)
             if len(matches) < FEWEST:
                 return None
-            residuals = matches[:, 6]
-            scale = max(1.4826 * float(np.median(np.abs(residuals))), LEAST_SCALE)
-            weights = 1.0 / (1.0 + (residuals / (ROBUST * scale)) ** 2) ** 2
-            each = np.bincount(frame.groups, minlength=frame.plane_count)  # tiles of each group
-            weights /= 1.0 + COMMON * each[frame.groups[matches[:, 7].astype(np.intp)]]
-            slope = matches[:, :6] * units
-            weighted = slope * weights[:, None]
-            system = weighted.T @ slope
-            kind = self._groups(frame, matches, weights)
-            on_plane = frame.groups[matches[:, 7].astype(np.intp)] < frame.plane_count
-            evidence = [(system, kind)]
-            if on_plane.any():
-                planes = self._groups(frame, matches[on_plane], weights[on_plane])
-                evidence.append((weighted[on_plane].T @ slope[on_plane], planes))
-            count, square = len(references), np.outer(units, units)
-            observed, others = _directions(
-                system, [(part, sums.feigned(scale, frame, count) * square) for part, sums in evidence]
-            )
+            scale = max(1.4826 * quantile(np.abs(matches[:, 6]), 0.5), LEAST_SCALE)
+            weights = np.empty(len(matches))
+            normal_equations(matches, arrays, scale, (ROBUST, COMMON), weights, sums, systems, right)
+            errors = scale**2 * len(references), (scale * LEAST_SHARED) ** 2, turned
+            feigned_systems(sums, frame.plane_count, errors, self._rays.width, feigned)
+            system = systems[0] + systems[1]
+            held, noise = np.array([system, systems[0]]), np.array([feigned[0] + feigned[1], feigned[0]])
+            observed, others = _directions(system, held, noise)
             if not len(observed):
                 return None
-            step = -observed.T @ np.linalg.solve(observed @ system @ observed.T, observed @ (weighted.T @ residuals))
+            step = -observed.T @ np.linalg.solve(observed @ system @ observed.T, observed @ right)
             pose = pose @ exponential(units * step)
-            # A transpose stands for an inverse: errors of rounding would double from frame to frame.
-            pose[:3, :3] = nearest_rotation(pose[:3, :3])
             if np.abs(step).max() < CONVERGED:
                 break
-        near = np.abs(residuals) <= _largest_residual(frame, matches)
-        shares = np.bincount(which[near], minlength=len(references)) / len(frame.tiles)
-        some = which < (len(references) if counted is None else counted)
+        # A transpose stands for an inverse: errors of rounding would double from frame to frame.
+        pose[:3, :3] = nearest_rotation(pose[:3, :3])
+        shares = _shares(frame, matches, counts)
+        some = counts[: len(references) if counted is None else counted].sum()
         information = np.zeros((6, 6))
-        if np.count_nonzero(some) >= FEWEST:
-            kind = self._groups(frame, matches[some], weights[some])
-            spread = kind.spread(scale, _correlation(frame, matches[some], scale)) * np.outer(units, units)
-            system = weighted[some].T @ slope[some]
-            reduced = np.linalg.solve(observed @ system @ observed.T, observed)
+        if some >= FEWEST:
+            matches, weights = matches[:some], weights[:some]
+            crosses, spread = np.empty((len(sums), 6, 3)), np.empty((6, 6))
+            sum_crosses(matches, arrays, weights, sums, crosses)
+            shared = SHARED * _correlation(frame, matches, scale)
+            spread_of_right(sums, crosses, scale**2, shared * scale**2, self._rays.width, spread)
+            weighted = matches[:, :6] * weights[:, None]
+            reduced = np.linalg.solve(observed @ (weighted.T @ matches[:, :6]) @ observed.T, observed)
             # Of δ in radians and metres: a direction w of the system is δ = units·w.
             back = observed / units
             information = back.T @ np.linalg.inv(reduced @ spread @ reduced.T) @ back
         null = np.linalg.qr((others * units).T)[0].T if len(others) else np.empty((0, 6))
         return Alignment(pose, shares, scale, information, null)
 
-    def _groups(self, frame: FrameTiles, matches: Floats, weights: Floats) -> _Groups:
-        sums = np.empty((int(frame.groups.max()) + 1, SUMS))
-        sum_groups(matches, frame.tiles, frame.groups, weights, sums)
-        return _Groups(sums[sums[:, WEIGHT] > 0.0], self._rays.width)
+    def _match(
+        self, frame: FrameTiles, to_references: Floats, models: Floats, pose: Floats
+    ) -> tuple[Floats, NDArray[np.int64]]:
+        """Matches of a frame at a pose, (M, COLUMNS), steps in units of its depth; and how many of each reference.
+
+        They last until the next call.
+        """
+        motions = np.ascontiguousarray((to_references @ pose)[:, :3])
+        if len(self._matches) < len(models) * len(frame.tiles):
+            self._matches = np.empty((len(models) * len(frame.tiles), COLUMNS))
+        counts = np.zeros(len(models), np.int64)
+        rays, limits = self._rays, (GATE, LEAST_COSINE, frame.depth)
+        total = match_tiles(frame.tiles, motions, models, rays.table, rays.bounds, limits, self._matches, counts)
+        return self._matches[:total], counts
 
 
-def _largest_residual(frame: FrameTiles, matches: Floats) -> Floats:
-    """(M,): what a residual may be for a tile to count as seen again: 5 standard deviations, or a hundredth."""
+def _stacked(references: Sequence[Reference]) -> tuple[Floats, Floats]:
+    """World to each reference, (K, 4, 4), and their models, (K, T, 3)."""
+    poses = np.array([reference.pose for reference in references])
+    return inverse(poses), np.array([reference.model for reference in references])
+
+
+def _shares(frame: FrameTiles, matches: Floats, counts: NDArray[np.int64]) -> Floats:
+    """(K,): share of the frame's tiles that each reference has matches of, within 5 deviations or a hundredth."""
     q = frame.tiles[matches[:, 7].astype(np.intp), 2]
-    return np.asarray(np.maximum(5.0 * frame.sigma, 0.01 * q))
-
-
-class _Groups:
-    """Sums of the matches of planes, and what follows from them."""
-
-    def __init__(self, sums: Floats, width: float) -> None:
-        self._sums = sums
-        self._weight = sums[:, WEIGHT]
-        xx, xy, xz, yy, yz, zz = sums[:, NORMAL:RIGHT].T
-        within = self._weight * width**2 / 12.0  # rays differ within a tile, too
-        rows = [[xx + within, xy, xz], [xy, yy + within, yz], [xz, yz, zz]]
-        self._normal = np.array(rows).transpose(2, 0, 1)
-        self._mean = self._normal / self._weight[:, None, None]
-        self._inverse = np.linalg.inv(self._mean)
-        self._count = self._weight**2 / sums[:, SQUARES]  # effective number of tiles
-
-    def feigned(self, scale: float, frame: FrameTiles, references: int) -> Floats:
-        """(6, 6): what the system of equations is expected to be from errors of the planes' α alone."""
-        q = frame.median_inverse_depth
-        variance = scale**2 * (references / self._count + LEAST_SHARED**2)
-        covariance = self._inverse * variance[:, None, None] + (LEAST_ANGLE * q) ** 2 * np.eye(3)
-        x, y, z = self._mean[:, 2].T  # the mean ray
-        cross = np.zeros(self._mean.shape)
-        cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -z, y, -x
-        cross -= cross.transpose(0, 2, 1)
-        linear = np.concatenate([cross, np.broadcast_to(q * np.eye(3), cross.shape)], axis=1)
-        return _sum_of_forms(linear, covariance * self._weight[:, None, None])
-
-    def spread(self, scale: float, correlation: float) -> Floats:
-        """(6, 6): covariance of Σw·J·r, with errors of tiles and of planes."""
-        cross = self._sums[:, CROSS:].reshape(-1, 6, 3)
-        # Errors of single tiles, as if all of a plane had the same squares: Σw²JJᵀ by the slopes along the plane.
-        along = cross @ np.linalg.inv(self._normal)
-        share = scale**2 * self._sums[:, SQUARES] / self._weight
-        single = _sum_of_forms(along, self._normal * share[:, None, None])
-        return single + _sum_of_forms(cross, self._inverse * (SHARED * correlation * scale**2))
+    near = np.abs(matches[:, 6]) <= np.maximum(5.0 * frame.sigma, 0.01 * q)
+    which = np.repeat(np.arange(len(counts)), counts)
+    return np.asarray(np.bincount(which[near], minlength=len(counts)) / len(frame.tiles))
 
 
 def _correlation(frame: FrameTiles, matches: Floats, scale: float) -> float:
@@ -262,17 +225,9 @@ def _correlation(frame: FrameTiles, matches: Floats, scale: float) -> float:
     return float(np.clip(first @ second / squares, LEAST_CORRELATION, 1.0)) if squares > 0.0 else LEAST_CORRELATION
 
 
-def _sum_of_forms(linear: Floats, matrices: NDArray[np.floating[Any]]) -> Floats:
-    """(6, 6): the sum of L·M·Lᵀ over (G, 6, 3) and (G, 3, 3)."""
-    left = (linear @ matrices).transpose(1, 0, 2).reshape(6, -1)
-    return np.asarray(left @ linear.transpose(1, 0, 2).reshape(6, -1).T)
-
-
-def _directions(system: Floats, evidence: list[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
-    """Orthonormal directions, rows, in which some evidence holds more than errors feign in it, and the others."""
+def _directions(system: Floats, held: Floats, feigned: Floats) -> tuple[Floats, Floats]:
+    """Orthonormal directions, rows, in which some of (E, 6, 6) hold more than errors feign in it, and the others."""
     values, vectors = np.linalg.eigh(system)
-    seen = np.zeros(6, np.bool_)
-    for part, feigned in evidence:
-        held, noise = (np.sum(vectors * (matrix @ vectors), axis=0) for matrix in (part, feigned))
-        seen |= held > FEIGNED * noise + 1e-12 * values[-1]
+    held, feigned = ((vectors * (matrices @ vectors)).sum(axis=1) for matrices in (held, feigned))
+    seen = (held > FEIGNED * feigned + 1e-12 * values[-1]).any(axis=0)
     return vectors.T[seen], vectors.T[~seen]

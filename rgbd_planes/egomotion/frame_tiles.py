@@ -93,24 +93,25 @@ class FrameTiles:
         Mean ray (tanθx, tanθy), inverse depth q there, and α: of the plane that the whole tile lies on, or its own.
     groups : (N,) intp
         Plane that the whole tile lies on, 0 to P - 1; other tiles have numbers of their own from P.
+    counts : (G,) intp
+        Tiles of each group.
     plane_count : int
         P.
     model : (T, 3) float64
         The same α for each tile of the frame; NaN where a tile holds no surface.
     sigma : float
         Typical standard deviation of the frame's inverse depth, 1/m.
+    depth : float
+        Median depth of the tiles, in metres; 1 where there are none.
     """
 
     tiles: Floats
     groups: NDArray[np.intp]
+    counts: NDArray[np.intp]
     plane_count: int
     model: Floats
     sigma: float
-
-    @property
-    def median_inverse_depth(self) -> float:
-        """1/m; 1 where there are no tiles."""
-        return float(np.median(self.tiles[:, 2])) if len(self.tiles) else 1.0
+    depth: float
 
 
 def tiles_of_frame(fits: TilePlanes, found: Segmentation, rays: TileRays) -> FrameTiles:
@@ -119,7 +120,7 @@ def tiles_of_frame(fits: TilePlanes, found: Segmentation, rays: TileRays) -> Fra
     u, v = rays.middle.T
     with np.errstate(invalid="ignore"):
         q = alpha[:, 0] * u + alpha[:, 1] * v + alpha[:, 2]
-        good = fits.fitted.ravel() & (fits.rmse.ravel() <= ROUGHEST * found.sigma) & (q > 0.0)
+        good = (fits.rmse.ravel() <= ROUGHEST * found.sigma) & (q > 0.0)  # both are NaN without a plane
     labels = _labels_of_tiles(found.labels, rays.tile, fits.shape[-1])
     there = np.flatnonzero(good)
     model = np.full((len(q), 3), np.nan)
@@ -128,8 +129,10 @@ def tiles_of_frame(fits: TilePlanes, found: Segmentation, rays: TileRays) -> Fra
     model[on_plane] = found.alpha[labels[on_plane] - 1]
     label = labels[there]
     groups = np.where(label > 0, label - 1, len(found) + np.arange(len(there)))
+    counts = np.bincount(groups, minlength=len(found))
     tiles = np.column_stack([u[there], v[there], q[there], model[there]])
-    return FrameTiles(np.ascontiguousarray(tiles), groups.astype(np.intp), len(found), model, found.sigma)
+    depth = 1.0 / float(np.median(q[there])) if len(there) else 1.0
+    return FrameTiles(tiles, groups, counts, len(found), model, found.sigma, depth)
 
 
 def _labels_of_tiles(labels: NDArray[np.int32], tile: int, columns: int) -> NDArray[np.int32]:
@@ -143,6 +146,6 @@ def _labels_of_tiles(labels: NDArray[np.int32], tile: int, columns: int) -> NDAr
     some = labels[along(height)[:, None], along(width)]
     each = some.reshape(-1, SAMPLES, columns, SAMPLES).transpose(0, 2, 1, 3).reshape(-1, SAMPLES * SAMPLES)
     most = each.max(axis=1)
-    share = (each == most[:, None]).mean(axis=1)
-    others = ((each != most[:, None]) & (each != 0)).any(axis=1)
-    return np.asarray(np.where((share >= LABELLED) & ~others, most, 0), np.int32)
+    alike = np.count_nonzero(each == most[:, None], axis=1)
+    is_alone = alike == np.count_nonzero(each, axis=1)  # nor is any where no pixel has a label
+    return np.asarray(np.where(is_alone & (alike >= LABELLED * SAMPLES**2), most, 0), np.int32)

@@ -45,7 +45,7 @@ class Keyframes:
 
     def choose(self, aligner: Aligner, frame: FrameTiles, pose: Floats) -> Floats:
         """Use the keyframes that a frame at a pose has most in common with; return their shares of its tiles."""
-        near = self.near(pose, 1.0 / frame.median_inverse_depth)
+        near = self.near(pose, frame.depth)
         shares = aligner.shares(frame, [keyframe.reference for keyframe in near], pose)
         if not len(shares):
             return shares

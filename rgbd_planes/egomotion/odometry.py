@@ -17,7 +17,7 @@ from rgbd_planes.egomotion.frame_tiles import FrameTiles, rays_of_tiles, tiles_o
 from rgbd_planes.egomotion.keyframes import NEW, Keyframe, Keyframes
 from rgbd_planes.egomotion.pose import CameraPose
 from rgbd_planes.fitting.tiles import TileFitter
-from rgbd_planes.segmentation.camera_motion import camera_motion
+from rgbd_planes.segmentation.result import Segmentation
 from rgbd_planes.segmentation.segment import MIN_SIZE, check_settings, segment_frame
 from rgbd_planes.segmentation.tracking import PlaneTracker, TrackedSegmentation
 
@@ -58,7 +58,8 @@ class Odometry(FixedArguments):
         self._keyframes = Keyframes()
         self._count = self._lost = 0
         self._pose, self._step = np.eye(4), np.eye(4)
-        self._last: tuple[Reference, TrackedSegmentation, bool] | None = None
+        self._tracked_pose = self._pose  # where the tracker's planes were seen from
+        self._last: Reference | None = None  # the frame before, unless that is lost
 
     def update(self, depth: ArrayLike | Frame) -> CameraPose:
         """Take the next frame.
@@ -87,10 +88,9 @@ class Odometry(FixedArguments):
         frame = as_numbered_frame(self._count, depth, self._camera)
         found = segment_frame(frame, self._camera, *self._given)
         tiles = tiles_of_frame(self._fitter._fit(frame), found, self._rays)
-        tracked = self._tracker.follow(found)
-        return self._place(tiles, tracked, depth.timestamp if isinstance(depth, Frame) else float("nan"))
+        return self._place(tiles, found, depth.timestamp if isinstance(depth, Frame) else float("nan"))
 
-    def _place(self, tiles: FrameTiles, tracked: TrackedSegmentation, timestamp: float) -> CameraPose:
+    def _place(self, tiles: FrameTiles, found: Segmentation, timestamp: float) -> CameraPose:
         """Take the next frame, whose tiles and planes are known."""
         index, self._count = self._count, self._count + 1
         if not self._keyframes.in_use:
@@ -100,49 +100,45 @@ class Odometry(FixedArguments):
                 self._keyframes.add(Keyframe(index, Reference(tiles.model, self._pose)))
             known = _Relative(index, np.eye(4), np.zeros((6, 6)), np.zeros((6, 6)), np.empty((0, 6)))
         else:
-            alignment = self._locate(tiles, tracked)
+            alignment = self._locate(tiles, found)
             is_lost = alignment is None
             known = self._astray(index) if alignment is None else self._found(index, alignment)
             is_keyframe = self._keep(index, tiles, is_lost)
-        self._last = (Reference(tiles.model, self._pose), tracked, is_lost)
+        self._last = None if is_lost else Reference(tiles.model, self._pose)
+        tracked = self._track(found, is_lost)
         return CameraPose(
             index, timestamp, self._pose.copy(), *known, is_keyframe=is_keyframe, is_lost=is_lost, segmentation=tracked
         )
 
-    def _locate(self, tiles: FrameTiles, tracked: TrackedSegmentation) -> Alignment | None:
+    def _track(self, found: Segmentation, is_lost: bool) -> TrackedSegmentation:
+        """Give planes their ids, by the motion that was found; what is lost counts as seen from the last place."""
+        motion = np.eye(4)
+        if not is_lost:
+            motion = inverse(self._pose) @ self._tracked_pose
+            self._tracked_pose = self._pose
+        return self._tracker.follow(found, motion)
+
+    def _locate(self, tiles: FrameTiles, found: Segmentation) -> Alignment | None:
         """Align a frame, from where the prior says, and from elsewhere if that shows little of it."""
         references = [keyframe.reference for keyframe in self._keyframes.in_use]
         counted = len(references)
-        if self._last is not None and not self._last[2] and self._last[0].pose is not references[-1].pose:
-            references.append(self._last[0])
+        if self._last is not None and self._last.pose is not references[-1].pose:
+            references.append(self._last)
 
-        def align(pose: Floats, to: list[Reference], counted: int) -> Alignment | None:
-            found = self._aligner.align(tiles, to, pose, counted)
-            return found if found is not None and found.scale <= ROUGHEST_MATCH * tiles.sigma else None
+        def align(pose: Floats, to: list[Reference]) -> Alignment | None:
+            aligned = self._aligner.align(tiles, to, pose, counted)
+            return aligned if aligned is not None and aligned.scale <= ROUGHEST_MATCH * tiles.sigma else None
 
-        best = align(self._pose @ self._step, references, counted)
+        best = align(self._pose @ self._step, references)
         if best is None or best.share < FAIR_SHARE:
-            for pose in self._other_poses(tracked):
-                best = _better(best, align(pose, references, counted))
+            # Where the camera was, and where planes say, which need no pixel in common.
+            said = self._tracked_pose @ inverse(self._tracker.estimate_motion(found))
+            for pose in (self._pose, said):
+                best = _better(best, align(pose, references))
         if best is None or best.share < LEAST_SHARE:
-            for keyframe in self._keyframes.near(self._pose, 1.0 / tiles.median_inverse_depth):
-                best = _better(best, align(keyframe.reference.pose, references[:counted], counted))
+            for keyframe in self._keyframes.near(self._pose, tiles.depth):
+                best = _better(best, align(keyframe.reference.pose, references[:counted]))
         return best if best is not None and best.share >= LEAST_SHARE else None
-
-    def _other_poses(self, tracked: TrackedSegmentation) -> Iterator[Floats]:
-        """Where the camera may be: where it was, and where the planes say that were seen in the frame before."""
-        yield self._pose
-        if self._last is None:
-            return
-        before = self._last[1]
-        _, first, second = np.intersect1d(before.ids, tracked.ids, return_indices=True)
-        if len(first):
-            old, new = before.segmentation, tracked.segmentation
-            weights = np.minimum(old.sizes[first], new.sizes[second]).astype(np.float64)
-            motion = camera_motion(old.planes[first], new.planes[second], weights)
-            step = np.eye(4)
-            step[:3, :3], step[:3, 3] = motion.rotation, motion.step
-            yield self._last[0].pose @ inverse(step)
 
     def _found(self, index: int, alignment: Alignment) -> _Relative:
         """Take the pose of an alignment."""

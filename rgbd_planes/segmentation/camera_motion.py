@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from rgbd_planes._core.arrays import Floats
-from rgbd_planes._core.rotations import nearest_rotation
+from rgbd_planes._core.checks import shaped_array
+from rgbd_planes._core.rotations import as_motion, nearest_rotation
 
 # Weights of what holds without planes, no turn and no step, against 1 for all planes together: it decides what they
 # leave open, as a wall does about steps along it.
@@ -29,6 +31,19 @@ class Motion(NamedTuple):
 
     rotation: Floats = np.eye(3)
     step: Floats = np.zeros(3)
+
+    @classmethod
+    def of(cls, name: str, motion: ArrayLike) -> Motion:
+        """Return the motion of a (4, 4) array of that name."""
+        array = as_motion(name, shaped_array(name, motion, (4, 4)))
+        if array.ndim != 2:
+            raise ValueError(f"expected {name} of shape (4, 4), got {array.shape}")
+        return cls(array[:3, :3], array[:3, 3])
+
+    @property
+    def matrix(self) -> Floats:
+        """(4, 4): the motion of homogeneous points."""
+        return np.vstack([np.column_stack([self.rotation, self.step]), [0.0, 0.0, 0.0, 1.0]])
 
     def move_points(self, points: Floats) -> Floats:
         """Return points, (P, 3)."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rgbd_planes._core.arrays import Floats
 from rgbd_planes.camera.camera import Camera
 from rgbd_planes.camera.rays import ray_tables
+from rgbd_planes.kernels.tracking.squares import find_places, label_squares
 from rgbd_planes.segmentation.camera_motion import Motion, camera_motion
 from rgbd_planes.segmentation.result import Segmentation
 from rgbd_planes.uncertainty.planes import angle_and_offset
@@ -26,7 +27,7 @@ FAMILIAR, HARDLY_TURNED, HARDLY_MOVED = 0.3, 3.0, 0.03
 
 # The camera's motion is found from so many planes, and again, with what is seen then, as often as this at most. Of each
 # plane about so many points are kept.
-LARGEST, ROUNDS, POINTS = 15, 3, 100
+LARGEST, ROUNDS, POINTS = 15, 3, 32
 
 Indices = NDArray[np.intp]
 
@@ -111,12 +112,9 @@ class View(NamedTuple):
     @classmethod
     def of(cls, found: Segmentation) -> View:
         """Return a segmentation by squares, labelled as their first pixel that has a label: others may be missing."""
-        labels = found.labels[::2, ::2].astype(np.intp)
-        for row, column in ((0, 1), (1, 0), (1, 1)):
-            other = found.labels[row::2, column::2]
-            first_label = labels[: other.shape[0], : other.shape[1]]
-            np.copyto(first_label, other, where=first_label == 0)
-        sizes = np.bincount(labels.ravel(), minlength=len(found) + 1)
+        height, width = found.labels.shape
+        labels, sizes = np.empty((-(-height // 2), -(-width // 2)), np.intp), np.empty(len(found) + 1, np.intp)
+        label_squares(found.labels, labels, sizes)
         return cls(found, labels, sizes, *(tangent[::2, ::2] for tangent in ray_tables(found.camera)))
 
     def squares_of(self, xyz: Floats) -> tuple[Indices, Indices, NDArray[np.bool_]]:
@@ -140,10 +138,10 @@ class View(NamedTuple):
     def points(self) -> Points:
         """Points of the planes, which count from 0."""
         labels = self.labels.ravel()
-        # NumPy sorts integers of up to 16 bits by their digits, which takes a fifth of the time.
-        by_label = np.argsort(labels.astype(np.min_scalar_type(len(self.found))), kind="stable")
         chosen, shares = thin(self.sizes[1:])
-        places = by_label[self.sizes[0] + chosen]
+        passed = np.cumsum(self.sizes) - self.sizes - self.sizes[0]
+        places = np.empty(len(chosen), np.intp)
+        find_places(labels, chosen, np.searchsorted(chosen, passed), passed, places)
         row, column = np.divmod(places, self.labels.shape[1])
         label = labels[places]
         q = self.inverse_depth(label, row, column)
@@ -188,17 +186,19 @@ class Matches(NamedTuple):
     share: float
 
 
-def recognise(known: KnownPlanes, view: View) -> tuple[KnownPlanes, Matches]:
-    """The known planes as the camera sees them now, and which of them are in sight."""
-    moved = known.moved(motion_since(known, view))
+def recognise(known: KnownPlanes, view: View, motion: Motion | None = None) -> tuple[KnownPlanes, Matches]:
+    """The known planes as the camera sees them now, and which of them are in sight; planes tell a motion not given."""
+    moved = known.moved(motion_since(known, view) if motion is None else motion)
     matches = same_planes(moved, view, close=HARDLY_MOVED)
-    # Few planes, or such as noise bends, tell a motion that may be none: what is seen again says which.
-    still = same_planes(known, view, close=HARDLY_MOVED)
-    if still.share > matches.share:
-        moved, matches = known, still
+    if motion is None:
+        # Few planes, or such as noise bends, tell a motion that may be none: what is seen again says which.
+        still = same_planes(known, view, close=HARDLY_MOVED)
+        if still.share > matches.share:
+            moved, matches = known, still
     if matches.share >= FAMILIAR:
         return moved, matches
-    return known, same_planes(known, view, HARDLY_TURNED, HARDLY_MOVED, HARDLY_MOVED)
+    stayed = known if motion is None else moved
+    return stayed, same_planes(stayed, view, HARDLY_TURNED, HARDLY_MOVED, HARDLY_MOVED)
 
 
 def motion_since(known: KnownPlanes, view: View) -> Motion:

@@ -13,7 +13,8 @@ from rgbd_planes._core.checks import FixedArguments, check_whole, each_of
 from rgbd_planes._core.text import counted
 from rgbd_planes.camera.camera import Camera
 from rgbd_planes.camera.frame import Frame, as_numbered_frame
-from rgbd_planes.segmentation.known_planes import KnownPlanes, View, recognise, remember
+from rgbd_planes.segmentation.camera_motion import Motion
+from rgbd_planes.segmentation.known_planes import KnownPlanes, View, motion_since, recognise, remember
 from rgbd_planes.segmentation.result import Segmentation, no_segmentation
 from rgbd_planes.segmentation.segment import MIN_SIZE, check_settings, segment_frame
 
@@ -155,12 +156,15 @@ class PlaneTracker(FixedArguments):
         """The id that was given last: how many planes there were so far."""
         return self._newest
 
-    def follow(self, found: Segmentation) -> TrackedSegmentation:
+    def follow(self, found: Segmentation, motion: ArrayLike | None = None) -> TrackedSegmentation:
         """Give the planes of the next frame their ids: new ones if its size differs from the one before.
 
         Parameters
         ----------
         found : Segmentation
+        motion : (4, 4) array_like, optional
+            How the camera has moved since the frame before, where that is known: X now is R·X + t of X before. By
+            default the largest planes tell.
 
         Returns
         -------
@@ -168,19 +172,26 @@ class PlaneTracker(FixedArguments):
 
         Raises
         ------
-        TypeError
-            It is no `Segmentation`.
+        TypeError, ValueError
+            It is no `Segmentation`, or the motion is no rigid one.
         """
         if not isinstance(found, Segmentation):
             raise no_segmentation(found)
+        moved = None if motion is None else Motion.of("motion", motion)
         if found.labels.shape != self._shape:
             self._shape, self._known = found.camera.shape, KnownPlanes()
         view, ids = View.of(found), np.zeros(len(found), np.int32)
         if len(self._known.ids) and len(found):
-            self._known, matches = recognise(self._known, view)
+            self._known, matches = recognise(self._known, view, moved)
             ids[matches.now] = self._known.ids[matches.before]
+        elif moved is not None:
+            self._known = self._known.moved(moved)
         new = np.flatnonzero(ids == 0)
         ids[new] = self._newest + 1 + np.arange(len(new))
         self._newest += len(new)
         self._known = remember(self._known, view, ids, self._memory)
         return TrackedSegmentation(found, ids)
+
+    def estimate_motion(self, found: Segmentation) -> NDArray[np.float64]:
+        """Return (4, 4): how the camera has moved since the frame before, as the largest planes tell; coarse."""
+        return motion_since(self._known, View.of(found)).matrix
