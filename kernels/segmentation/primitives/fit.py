@@ -12,10 +12,11 @@ from .start import TERMS, central_ray, fit_quadratic, write_start
 
 # Pixels that are enough to find the surface by: then few steps are left for all of them.
 SAMPLE = 1500
-# Steps with the sample, and with all pixels.
-ROUNDS, LAST_ROUNDS = 40, 8
+# Share of its sum of squares to which the sample's is the least.
+ROUGHLY = 1e-4
 # A kind whose sum of squares in the sample is so many times the least, and by so much more, is out of the question.
-TIMES, MORE = 1.3, 50.0
+# Before outliers are left out, that is not yet plain.
+TIMES, MORE, DOUBTFUL = 1.3, 50.0, 3.0
 # Residuals of outliers, in standard deviations, or in those that the median shows if they are larger. At most so large
 # a share are left out, in so many turns with the sample.
 FAR, MOST_OUTLIERS, TRIMS = 4.0, 0.15, 3
@@ -37,7 +38,7 @@ def best_start(pixels, weights, flat, kind, curvatures, surface):
             if start == 1:  # across the direction of least curvature
                 for k in range(3):
                     candidate[A + k], candidate[B + k] = flat[B + k], -flat[A + k]
-        total = minimise(pixels, weights, kind, 1e-3, ROUNDS, candidate)
+        total = minimise(pixels, weights, kind, 1e-3, ROUGHLY, candidate)
         if total < best:
             best = total
             surface[:] = candidate
@@ -108,15 +109,18 @@ def fit_sample(pixels, full, start, scale, found):
     for kind in range(3 if bends else 1):
         found[kind] = start
         if kind == PLANE:
-            total = minimise(pixels, full, kind, 0.0, ROUNDS, found[kind])
+            total = minimise(pixels, full, kind, 0.0, ROUGHLY, found[kind])
         else:
             total = best_start(pixels, full, curved, kind, curvatures, found[kind])
-        if not total < math.inf:
-            continue
-        for _ in range(TRIMS):
+        if total < math.inf:
             costs[kind] = trim(pixels, full, found[kind], kind, weights)
-            minimise(pixels, weights, kind, 1e-3, ROUNDS, found[kind])
-        costs[kind] = trim(pixels, full, found[kind], kind, weights)
+    least = costs.min()
+    for kind in range(3):
+        if costs[kind] < math.inf and costs[kind] <= DOUBTFUL * least + MORE:
+            for _ in range(TRIMS):
+                trim(pixels, full, found[kind], kind, weights)
+                minimise(pixels, weights, kind, 1e-3, ROUGHLY, found[kind])
+            costs[kind] = trim(pixels, full, found[kind], kind, weights)
     return np.argmin(costs), costs
 
 
@@ -157,7 +161,7 @@ def fit_label(pixels, noise, surfaces, totals, weights, shares):
     for kind in range(3):
         if not costs[kind] <= TIMES * costs[best] + MORE:
             continue
-        total = minimise(pixels, weights, kind, 0.0, LAST_ROUNDS, found[kind])
+        total = minimise(pixels, weights, kind, 0.0, 0.0, found[kind])
         if total == total and found[kind, Q0] > 0.0:
             totals[kind] = total
             surfaces[kind] = found[kind]

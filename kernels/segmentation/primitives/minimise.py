@@ -8,9 +8,9 @@ from ..._jit.kernel import kernel
 from ...solvers.cholesky import factorise, solve
 from .quadric import BLOCK, CYLINDER, KAPPA, PARAMETERS, Q0, RESIDUAL, SURFACE, evaluate, moved, parameters_of
 
-# Steps are small enough where they lower the sum of squares, in units of the variance, by less: a thousandth of a
-# standard deviation.
-ENOUGH = 1e-6
+# The search ends with a step that lowers the sum of squares, in units of the variance, by less: a thousandth of a
+# standard deviation. Or after so many steps.
+ENOUGH, ROUNDS = 1e-6, 40
 # Damping, relative to the diagonal of the normal equations.
 LEAST_DAMPING, MOST_DAMPING = 1e-9, 1e9
 
@@ -60,7 +60,7 @@ def normal_equations(pixels, weights, surface, kind, work, normal, right):
 
 
 @kernel()
-def minimise(pixels, weights, kind, damping, rounds, surface):
+def minimise(pixels, weights, kind, damping, enough, surface):
     """Move a surface to where the sum of squared residuals is least.
 
     Parameters
@@ -70,8 +70,8 @@ def minimise(pixels, weights, kind, damping, rounds, surface):
     kind : int
     damping : float
         To begin with.
-    rounds : int
-        Steps that are tried at most.
+    enough : float
+        The search ends with a step that lowers the sum of squares by less than this share of it.
     surface : (SURFACE,) float64, changed
 
     Returns
@@ -84,7 +84,7 @@ def minimise(pixels, weights, kind, damping, rounds, surface):
     normal, lower = np.empty((2, PARAMETERS, PARAMETERS)), np.zeros((PARAMETERS, PARAMETERS))
     right, step, candidate = np.empty((2, PARAMETERS)), np.zeros(PARAMETERS), np.empty(SURFACE)
     total = normal_equations(pixels, weights, surface, kind, work, normal[0], right[0])
-    for _ in range(rounds):
+    for _ in range(ROUNDS):
         while not factorise(normal[0], number, damping, lower):
             damping = max(10.0 * damping, 1e-6)
             if damping > MOST_DAMPING:
@@ -94,14 +94,14 @@ def minimise(pixels, weights, kind, damping, rounds, surface):
         for j in range(number):
             gain += step[j] * (right[0, j] + damping * normal[0, j, j] * step[j])
         moved(surface, step, candidate)
-        squares = math.inf
+        is_last, squares = gain < max(ENOUGH, enough * total), math.inf
         if candidate[Q0] > 0.0:
             squares = normal_equations(pixels, weights, candidate, kind, work, normal[1], right[1])
-        if squares < total or gain < ENOUGH:
+        if squares < total or is_last:
             if squares < total:
                 surface[:] = candidate
                 total = squares
-            if gain < ENOUGH:
+            if is_last:
                 break
             normal[0], right[0] = normal[1], right[1]
             damping = max(0.1 * damping, LEAST_DAMPING)
