@@ -8,6 +8,7 @@
 - ``bench.limits``: where uncertainties are wrong, and by how much
 - ``bench.segmentation``: how right, and how fast, the planes of scenes are
 - ``bench.repeatability``: whether planes are there in the next frame, and which are false
+- ``bench.primitives``: whether balls and pipes are found as such, and how right their radii are
 - ``bench.tracking``: whether planes keep their ids
 - ``bench.chi_square``: fits the constants of a kernel
 - ``bench.pictures``: the pictures of the documentation

@@ -18,7 +18,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from PIL import Image
 
-from bench import browser, curvature_picture, drawings, story
+from bench import browser, curvature_picture, drawings, primitive_picture, story
 from rgbd_planes.camera import presets
 from rgbd_planes.evaluation import scenes
 from rgbd_planes.sequences import images
@@ -101,6 +101,7 @@ OTHERS: dict[str, tuple[str, Callable[[], None]]] = {
     "view": ("view.png", view),
     "normals": ("normals.png", normals),
     "curvature": ("curvature.png", lambda: curvature_picture.picture().savefig(FOLDER / "curvature.png", dpi=85)),
+    "primitives": ("primitives.png", lambda: primitive_picture.picture().savefig(FOLDER / "primitives.png", dpi=85)),
     **{
         name: (f"{name}.png", _drawing(name, figure))
         for name, figure in (

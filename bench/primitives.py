@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_erosion
+from scipy.ndimage import binary_erosion, gaussian_filter
 
 import rgbd_planes as rp
 from bench.real_data import FOLDER
@@ -29,6 +29,8 @@ DISTANCES = (0.6, 1.2, 2.0, 3.0)
 WALL = 0.2
 """q of the wall behind: its pixels are measured, so that those beside the outline are no interior ones."""
 FEWEST = 30
+SHARED = rp.noise.NoiseModel((KINECT_V1,), correlation=((0.6, 2.0), (0.2, 6.0)), floor=0.5, floor_length=40.0)
+"""The same noise with errors that neighbours share."""
 COMPARED = 0.1
 """Largest bound on a radius' deviation, as a share of the radius, for which a kind is asked for."""
 
@@ -115,7 +117,7 @@ def monte_carlo(runs: int) -> list[dict[str, Any]]:
     for shape, distance in shapes(rng):
         for part in ("half", "third"):
             camera, rays, q, labels = seen(shape, part)
-            inside = binary_erosion(labels, np.ones((3, 3)), border_value=1)  # the pixels that fits take
+            inside = binary_erosion(labels, np.ones((3, 3), np.bool_), border_value=1)  # the pixels that fits take
             if inside.sum() < FEWEST:
                 continue
             bound = shape.bound(rays[inside], KINECT_V1)
@@ -175,6 +177,47 @@ def others(runs: int) -> dict[str, dict[str, float]]:
     return found
 
 
+def shared_errors(rng: np.random.Generator, shape: tuple[int, ...]) -> Floats:
+    """Errors of variance 1.25 as `SHARED` has them."""
+    margin = 60
+    wide = np.add(shape, 2 * margin)
+    total = np.sqrt(1.0 - sum(share for share, _ in SHARED.correlation)) * rng.standard_normal(wide)
+    for share, length in (*SHARED.correlation, (SHARED.floor**2, SHARED.floor_length)):
+        width = length / np.sqrt(2.0)
+        smooth = gaussian_filter(rng.standard_normal(wide), width, mode="wrap")
+        total += np.sqrt(share) * smooth * 2.0 * width * np.sqrt(np.pi)
+    return np.asarray(total[margin:-margin, margin:-margin])
+
+
+def with_shared_errors(runs: int) -> list[dict[str, Any]]:
+    """A row for some shapes under errors that neighbours share."""
+    rng = np.random.default_rng(3)
+    upright, leaning = np.array([0.0, 1.0, 0.0]), _unit(np.array([0.3, 1.0, 0.1]))
+    rows = []
+    for shape in (
+        Shape(rp.Primitive.SPHERE, np.array([0.1, 0.05, 1.7]), 0.2, upright),
+        Shape(rp.Primitive.SPHERE, np.array([-0.1, 0.05, 1.1]), 0.1, upright),
+        Shape(rp.Primitive.CYLINDER, np.array([0.1, 0.05, 1.3]), 0.1, leaning),
+    ):
+        for part in ("half", "third"):
+            camera, _, q, labels = seen(shape, part)
+            camera = camera.with_noise(SHARED)
+            radii, predicted, right = [], [], 0
+            for _ in range(runs):
+                fits = rp.fit_primitives(1.0 / (q + KINECT_V1 * shared_errors(rng, q.shape)), camera, labels)
+                right += fits.kind[0] == shape.kind
+                if fits.kind[0] == shape.kind:
+                    radii.append(fits.radius[0])
+                    predicted.append(fits.radius_std[0])
+            deviation = float(np.std(radii, ddof=1))
+            rows.append({
+                "kind": shape.kind.name.lower(), "radius": shape.radius, "part": part, "right": right / runs,
+                "bias": float(np.mean(radii) - shape.radius) / deviation,
+                "predicted": float(np.sqrt(np.mean(np.square(predicted)))) / deviation,
+            })  # fmt: skip
+    return rows
+
+
 def frame_of_shapes() -> tuple[Floats, NDArray[np.int32]]:
     """A VGA frame of six balls and six pipes before a wall, and their labels."""
     nearest, labels = np.full(CAMERA.shape, 0.3), np.zeros(CAMERA.shape, np.int32)
@@ -191,7 +234,7 @@ def frame_of_shapes() -> tuple[Floats, NDArray[np.int32]]:
 def times(rounds: int) -> dict[str, float]:
     """Milliseconds for a VGA frame of a dozen curved surfaces, one thread."""
     depth, labels = frame_of_shapes()
-    correlated = CAMERA.with_noise(rp.noise.NoiseModel((KINECT_V1,), correlation=((0.6, 2.0),), floor=0.5))
+    correlated = CAMERA.with_noise(SHARED)
     work = {
         f"{np.count_nonzero(labels)} pixels, {labels.max()} surfaces": lambda: rp.fit_primitives(depth, CAMERA, labels),
         "the same, with errors that neighbours share": lambda: rp.fit_primitives(depth, correlated, labels),
@@ -200,18 +243,19 @@ def times(rounds: int) -> dict[str, float]:
     return {name: 1e3 * found.fastest for name, found in in_turns(work, rounds).items()}
 
 
-def real_cylinders() -> dict[str, Any]:
+def real_cylinders(level: float) -> dict[str, Any]:
     """Objects of the data set ``mosd_cylinders``: which are of a kind, and the radii of those that seem the same.
 
-    The noise is estimated from its frames. Of each object, which was labelled by hand, the largest curved surface that
-    `segment` finds on it counts. Radii apart by less than 3 mm count as of one object, of which scenes hold several.
+    The noise is estimated from its frames, and ``level`` is the significance. Of each object, which was labelled by
+    hand, the largest curved surface that `segment` finds on it counts. The objects' identities are not known: radii
+    apart by less than 2 mm count as of one, of which a scene may hold several.
     """
     folder = FOLDER / "mosd_cylinders"
     camera = rp.Camera.load(folder / "camera.json")
     paths = sorted((folder / "depth").glob("*.png"))
     frames = [rp.images.read_depth(path) for path in paths]
     camera = camera.with_noise(rp.estimate_noise(frames, camera))
-    kinds, radii, deviations = [], [], []
+    kinds, cylinders = [], []
     for path, frame in zip(paths, frames, strict=True):
         curved = rp.segment(frame, camera).curved_labels
         objects = rp.images.read_depth(folder / "labels" / path.name) // 10
@@ -222,20 +266,16 @@ def real_cylinders() -> dict[str, Any]:
             if sizes[largest] >= 300:
                 count += 1
                 labels[(objects == one) & (curved == largest)] = count
-        fits = rp.fit_primitives(frame, camera, labels)
+        fits = rp.fit_primitives(frame, camera, labels, significance=level)
         kinds += fits.kind.tolist()
         is_cylinder = fits.kind == rp.Primitive.CYLINDER
-        radii += fits.radius[is_cylinder].tolist()
-        deviations += fits.radius_std[is_cylinder].tolist()
-    order = np.argsort(radii)
-    sorted_radii, sorted_deviations = np.array(radii)[order], np.array(deviations)[order]
-    starts = np.flatnonzero(np.diff(sorted_radii, prepend=-1.0) > 0.003)
-    parts = zip(np.split(sorted_radii, starts[1:]), np.split(sorted_deviations, starts[1:]), strict=True)
-    groups = [
-        {"seen": len(part), "mean": float(part.mean()), "std": float(part.std(ddof=1)) if len(part) > 1 else 0.0,
-         "predicted": float(np.sqrt(np.mean(np.square(of_part))))}
-        for part, of_part in parts
-    ]  # fmt: skip
+        cylinders += np.stack([fits.radius, fits.radius_std], axis=1)[is_cylinder].tolist()
+    radii = np.array(sorted(cylinders))
+    groups = []
+    for part in np.split(radii, np.flatnonzero(np.diff(radii[:, 0]) > 0.002) + 1):
+        radius, predicted = part.T
+        row = {"seen": len(part), "mean": float(radius.mean()), "predicted": float(np.sqrt(np.mean(predicted**2)))}
+        groups.append(row | ({"std": float(radius.std(ddof=1))} if len(part) > 1 else {}))
     counts = {kind.name.lower(): kinds.count(kind) for kind in rp.Primitive}
     return {"objects": len(kinds), "kinds": counts, "groups": groups}
 
@@ -267,10 +307,11 @@ def main(arguments: list[str] | None = None) -> int:
         text = "  ".join(f"{key} {value:.3g}" if isinstance(value, float) else f"{value}" for key, value in row.items())
         print(text, flush=True)
     found: dict[str, Any] = {"rows": rows, "summary": summary(rows), "others": others(2 * options.runs)}
+    found["shared"] = with_shared_errors(options.runs)
     found["times"] = times(20)
     if (FOLDER / "mosd_cylinders").is_dir():
-        found["cylinders"] = real_cylinders()
-    for name in ("summary", "others", "times", "cylinders"):
+        found["cylinders"] = {level: real_cylinders(level) for level in (0.01, 0.001)}
+    for name in ("summary", "others", "shared", "times", "cylinders"):
         print(name, json.dumps(found.get(name), indent=1))
     if options.json:
         options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")

@@ -2,6 +2,7 @@
 
 import numpy as np
 from curved_frames import rays_of
+from scipy import ndimage
 from scipy.optimize import least_squares
 
 import rgbd_planes as rp
@@ -33,6 +34,19 @@ def frame_of(q, sigma=0.0, seed=0):
     """Depth in metres with noise constant in inverse depth; 0 where q is NaN."""
     noisy = q + sigma * np.random.default_rng(seed).standard_normal(q.shape)
     return np.nan_to_num(1.0 / noisy, nan=0.0)
+
+
+def shared_errors(model, shape, rng):
+    """Errors of a model of constant σ as its correlation and floor have them, in 1/m."""
+    margin = 40
+    wide = np.add(shape, 2 * margin)
+    parts = [*model.correlation, (model.floor**2, model.floor_length)]
+    total = np.sqrt(1.0 - sum(share for share, _ in model.correlation)) * rng.standard_normal(wide)
+    for share, length in parts:
+        width = length / np.sqrt(2.0)
+        smooth = ndimage.gaussian_filter(rng.standard_normal(wide), width, mode="wrap")
+        total += np.sqrt(share) * smooth * 2.0 * width * np.sqrt(np.pi)
+    return model.coefficients[0] * total[margin:-margin, margin:-margin]
 
 
 def interior_of(mask, valid):

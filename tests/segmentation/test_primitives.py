@@ -14,6 +14,7 @@ from primitive_frames import (
     inverse_depth_of,
     most_likely,
     rays_and_q,
+    shared_errors,
 )
 
 import rgbd_planes as rp
@@ -175,6 +176,29 @@ def test_without_a_noise_model_the_frame_tells_its_noise():
     assert abs(number.radius[0] - 0.2) < 5.0 * given.radius_std[0]
     model = rp.fit_primitives(depth, camera, mask, noise=rp.noise.kinect_v1())
     assert model.radius[0] == given.radius[0]
+
+
+@pytest.mark.parametrize("name", ["ball", "pipe"])
+def test_errors_that_neighbours_share_are_in_the_covariance_and_the_chances(name):
+    model = rp.noise.NoiseModel((SIGMA,), correlation=((0.5, 2.0), (0.2, 5.0)), floor=0.5, floor_length=15.0)
+    camera = CAMERA.with_noise(model)
+    _, q = rays_and_q(name)
+    wall = np.where(np.isnan(q), 0.5, q)
+    rng = np.random.default_rng(2)
+    radii, predicted, chances = [], [], []
+    for _ in range(150):
+        depth = 1.0 / (wall + shared_errors(model, wall.shape, rng))
+        fits = rp.fit_primitives(depth, camera, np.isfinite(q), significance=1e-9)
+        radii.append(fits.radius[0])
+        predicted.append(fits.radius_std[0])
+        chances.append(fits.p_value[0])
+    assert np.isfinite(radii).all()
+    # Chance alone makes 6 % of difference. Without the correlation the ratio would be a half.
+    assert 0.8 < np.sqrt(np.mean(np.square(predicted))) / np.std(radii) < 1.25
+    assert np.mean(np.array(chances) < 0.05) < 0.12
+    assert 0.35 < np.mean(chances) < 0.65
+    independent = rp.fit_primitives(depth, CAMERA, np.isfinite(q), significance=0.0)
+    assert independent.radius_std[0] < 0.7 * predicted[-1]
 
 
 def test_outliers_at_a_rim_are_left_out_and_counted():

@@ -79,7 +79,8 @@ def fit_primitives(
     Warns
     -----
     UserWarning
-        As `fit_labels`.
+        Something in the frame is most likely not meant as it is, such as its unit: `fit_tiles` lists what. Or the
+        labels are an image of 0 and 255, most likely a mask, or 255 seems to mean none.
 
     Notes
     -----
