@@ -1,6 +1,7 @@
 """Files made to take memory or time, or to command a terminal: answered soon, in one line, in little memory."""
 
 import bz2
+import functools
 import io
 import json
 import os
@@ -29,7 +30,6 @@ from rgbd_planes.sequences.unpacking import MOST_UNPACKED, check_chunk, unpacked
 
 CAMERA = rp.Camera(8, 6, 7.0, 7.5, 3.5, 2.5, depth_scale=1000.0)
 MOST = 2**30  # bytes of a process
-LONG = zlib.compress(bytes(2 * 2**30), 9)  # 2 MB for two gigabytes
 
 READ = """
 import pathlib, re, resource, sys, time
@@ -73,6 +73,15 @@ def sens(path, width, height, content):
     path.write_bytes(head + bytes(64) + struct.pack("<QQQQ", 0, 1, 0, len(content)) + content)
 
 
+@functools.cache
+def long():
+    """2 MB for two gigabytes of zeros: equal pieces after the first, since to compress all would take seconds."""
+    packer, zeros, pieces = zlib.compressobj(9), bytes(2**24), 2**7
+    first, again = (packer.compress(zeros) + packer.flush(zlib.Z_FULL_FLUSH) for _ in range(2))
+    check_sum = (pieces * len(zeros) % 65521) << 16 | 1  # Adler's, of zeros
+    return first + (pieces - 1) * again + b"\3\0" + struct.pack(">I", check_sum)
+
+
 def array_header(shape, dtype="<u2"):
     stream = io.BytesIO()
     np.lib.format.write_array_header_1_0(stream, {"descr": dtype, "fortran_order": False, "shape": shape})
@@ -83,7 +92,7 @@ def bomb(path):
     """A file of the kind that its name says, small, but large once unpacked or believed."""
     name, size = path.name, 2**30
     if path.suffix == ".sens":
-        sens(path, *((2**15, 2**15) if name == "bomb.sens" else (2**32 - 1, 2**32 - 1)), LONG)
+        sens(path, *((2**15, 2**15) if name == "bomb.sens" else (2**32 - 1, 2**32 - 1)), long())
     elif name == "comments.pgm":
         path.write_bytes(b"P5" + b"#\n" * 3_000_000 + b"8 6 255\n" + bytes(48))
     elif path.suffix in (".pgm", ".pfm"):
@@ -102,7 +111,7 @@ def bomb(path):
         path.write_bytes(array_header((2**15, 2**15)))
         os.truncate(path, len(array_header((2**15, 2**15))) + 2 * size)
     elif path.suffix == ".png":
-        chunk = b"IDAT" + LONG
+        chunk = b"IDAT" + long()
         head = b"IHDR" + struct.pack(">IIBBBBB", 2**13, 2**13, 16, 0, 0, 0, 0)
         parts = [head, chunk, b"IEND"]
         path.write_bytes(
@@ -111,9 +120,9 @@ def bomb(path):
         )
     elif path.suffix == ".tif":
         entries = [(256, 4, 2**13), (257, 4, 2**13), (258, 3, 16), (259, 3, 8), (262, 3, 1), (273, 4, 200)]
-        entries += [(278, 4, 2**13), (279, 4, len(LONG))]
+        entries += [(278, 4, 2**13), (279, 4, len(long()))]
         directory = struct.pack("<H", len(entries)) + b"".join(struct.pack("<HHII", t, k, 1, v) for t, k, v in entries)
-        path.write_bytes((b"II*\0" + struct.pack("<I", 8) + directory).ljust(200, b"\0") + LONG)
+        path.write_bytes((b"II*\0" + struct.pack("<I", 8) + directory).ljust(200, b"\0") + long())
     return path
 
 
@@ -143,7 +152,7 @@ def test_a_recording_is_not_believed_about_memory(tmp_path, name):
 
 
 def test_a_frame_of_the_right_size_that_unpacks_to_more_is_damaged(tmp_path):
-    sens(tmp_path / "a.sens", 8, 6, LONG)
+    sens(tmp_path / "a.sens", 8, 6, long())
     assert "expected 96 bytes of 8 x 6 pixels, got more" in answer("sequence", tmp_path / "a.sens")
 
 
@@ -174,7 +183,11 @@ def test_arrays_that_no_result_has_are_not_read(tmp_path):
     assert np.array_equal(rp.TilePlanes.load(path).planes, tiles.planes)
 
 
-@pytest.mark.parametrize("text", ["[" + "{}," * 5_000_001 + "{}]", "[" * 100_000, '{"width": ' + "9" * 100_000 + "}"])
+@pytest.mark.parametrize(
+    "text",
+    ["[" + "{}," * 5_000_001 + "{}]", "[" * 100_000, '{"width": ' + "9" * 100_000 + "}"],
+    ids=["many", "deep", "long"],  # of their own pytest would make them for seconds
+)
 def test_a_camera_is_not_believed_about_memory(tmp_path, text):
     (tmp_path / "camera.json").write_text(text)
     assert answer("camera", tmp_path / "camera.json").startswith("ValueError")
@@ -223,7 +236,7 @@ def test_chunks_of_bags_are_unpacked_up_to_a_limit(tmp_path):
     content = path.read_bytes()
     start = content.index(b"BZh")
     (size,) = struct.unpack("<I", content[start - 4 : start])
-    long = bz2.compress(bytes(2**30))
+    long = 16 * bz2.compress(bytes(2**26))
     assert len(long) < size
     path.write_bytes(content[:start] + long.ljust(size, b"\0") + content[start + size :])
     with pytest.raises(ValueError, match="more than 256 MiB in one piece"):
