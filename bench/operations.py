@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from bench import prior_kernels
 from rgbd_planes.kernels.common.depth import RawFrame
 from rgbd_planes.kernels.moments import summed_area
 from rgbd_planes.kernels.moments import windows as window_pixels
@@ -180,10 +181,13 @@ def count(kernel: Any, standard: bool | None, tables: int, *, window: bool = Fal
 
 
 def count_all() -> dict[str, dict[str, Count]]:
-    """Counts of the standard and the range-space form: implicit, explicit (both from tables) and naive."""
+    """Counts of the standard form, or of prior work, and of range space: from tables, and of naive windows."""
     tables, naive = summed_area.frame_tables, window_pixels.window_moments
     return {
         "implicit": {"standard": count(tables, True, 9), "range": count(tables, None, 4)},
         "explicit": {"standard": count(tables, True, 8), "range": count(tables, None, 3)},
         "naive": {"standard": count(naive, True, 10, window=True), "range": count(naive, None, 10, window=True)},
+        # Forms that the paper cites, both explicit, against range space.
+        "tang": {"standard": count(prior_kernels.tang_tables, None, 8), "range": count(tables, None, 3)},
+        "erdogan": {"standard": count(prior_kernels.erdogan_tables, None, 3), "range": count(tables, None, 3)},
     }

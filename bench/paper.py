@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from bench.methods import TABLES, Fit, sensor, windows
 from bench.operations import count_all
+from bench.prior_work import PriorFit
 from bench.sequence import KINECTS, real_frames, rendered_frames, sequence
 from bench.timing import Times, change, flush_caches, in_turns
 from rgbd_planes import Camera, TileStatus, fit_tiles
@@ -86,7 +87,7 @@ def _operations() -> Result:
         # The naive cost is NM² times the arguments: there are no tables to add to.
         cost = attrgetter("arguments" if name == "naive" else "paper_convention")
         result[name] = {
-            "paper": paper[name],
+            "paper": paper.get(name),
             "counted": cost(standard) / cost(in_range),
             "executed": standard.executed / in_range.executed,
             "per_pixel": {key: count.to_dict() | {"paper": cost(count)} for key, count in pair.items()},
@@ -128,12 +129,12 @@ def _planes(rounds: int) -> Result:
 def _naive(rounds: int, quick: bool) -> Result:
     sides = [5, 20, 50] if quick else [5, 10, 20, 30, 40, 50, 60, 70, 80, 90, 100]
     names = [*TABLES, "range_implicit_disparity", "range_explicit_disparity"]
-    seconds: dict[str, list[Times]] = {name: [] for name in names}
+    seconds: dict[str, list[Times]] = {name: [] for name in (*names, "tang", "erdogan")}
     for side in sides:
-        fits = {
+        fits: dict[str, Fit] = {
             name: Fit(name.removesuffix("_disparity"), windows(20, side), "naive", name.endswith("disparity"))
             for name in names
-        }
+        } | {form: PriorFit(windows(20, side), form == "tang") for form in ("tang", "erdogan")}
         for name, time_ in in_turns({name: fit.planes for name, fit in fits.items()}, rounds).items():
             seconds[name].append(time_.shared_by(20))
     points = [side * side for side in sides]
@@ -143,6 +144,8 @@ def _naive(rounds: int, quick: bool) -> Result:
         old = seconds[f"standard_{form}"][chosen]
         result[f"naive_{form}"] = _pair(paper, seconds[f"range_{form}"][chosen], old)
         result[f"naive_{form}_disparity"] = _pair(None, seconds[f"range_{form}_disparity"][chosen], old)
+    for form, new in (("tang", "range_explicit"), ("erdogan", "range_explicit_disparity")):
+        result[f"prior_{form}"] = _pair(None, seconds[new][chosen], seconds[form][chosen])
     return {"time": result, "series": {"naive_times_vs_points": {"points": points, "seconds": _fastest(seconds)}}}
 
 

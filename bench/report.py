@@ -66,6 +66,16 @@ CLAIMS: tuple[tuple[str, str, str], ...] = (
     ),
     ("naive_explicit_disparity", "The same, explicit, range space from disparity", "As above."),
     (
+        "prior_tang",
+        "The same, explicit: range space against Tang, Lui and Li's form",
+        "Not in the paper, which cites it. It divides X, Y and 1 by Z at every pixel, although X/Z and Y/Z are known.",
+    ),
+    (
+        "prior_erdogan",
+        "The same, explicit, from disparity: range space against Erdogan, Paluri and Dellaert's form",
+        "Not in the paper, which cites it. Disparity is not even scaled to 1/Z; else the two are the same sums.",
+    ),
+    (
         "windows200_implicit_vs_integral",
         "200 planes of 50x50 pixels, implicit: range space integral against standard integral",
         "Follows from the tables and the planes above.",
@@ -119,6 +129,8 @@ COUNTS = (
     ("implicit", "Summed-area tables, implicit: 9 standard, 4 range"),
     ("explicit", "Summed-area tables, explicit: 8 standard, 3 range"),
     ("naive", "Naive windows, terms of the depth"),
+    ("tang", "Summed-area tables, explicit: 8 as Tang, Lui and Li (2011) write them, 3 range"),
+    ("erdogan", "Summed-area tables, explicit: 3 of disparity, Erdogan, Paluri and Dellaert (2012), 3 range"),
 )
 
 
@@ -157,14 +169,14 @@ def to_markdown(result: Result) -> str:
 
 
 def readme_table(result: Result) -> str:
-    """The page's table: all claims for which the paper has figures."""
+    """The page's table: all claims for which the paper has figures, and the forms that it cites."""
     rows = ["| | paper | here |", "|---|---:|---:|"]
     for key, title in COUNTS:
-        count = result["op_count"][key]
-        rows.append(f"| Operations, {title[0].lower()}{title[1:]} | {count['paper']:.1f}x | {count['counted']:.1f}x |")
+        paper, here = (_times_as_many(result["op_count"][key][whose]) for whose in ("paper", "counted"))
+        rows.append(f"| Operations, {title[0].lower()}{title[1:]} | {paper} | {here} |")
     for key, title, _ in CLAIMS:
         claim = result["time"][key]
-        if claim["paper"] is not None:
+        if claim["paper"] is not None or key.startswith("prior"):
             rows.append(f"| {title} | {_percent(claim['paper'])} | {_percent(claim['measured'])} |")
     for key, title in FLIGHT:
         claim = result["time"][key]
@@ -177,6 +189,10 @@ def readme_table(result: Result) -> str:
         f"{machine['processor']}; `python -m bench --out report` measures them again, and says why they differ."
     )
     return "\n".join(rows)
+
+
+def _times_as_many(value: float | None) -> str:
+    return "" if value is None else f"{value:.1f}x"
 
 
 def _percent(value: float | None) -> str:
@@ -206,7 +222,7 @@ def _counts(counts: Result) -> str:
             for space in ("standard", "range")
         ]
         rows.append(
-            f"| {title} | {count['paper']:.1f} | {count['counted']:.2f} | {count['executed']:.2f} | "
+            f"| {title} | {_times_as_many(count['paper'])} | {count['counted']:.2f} | {count['executed']:.2f} | "
             f"{cells[0]} | {cells[1]} |"
         )
     return "\n".join(rows)

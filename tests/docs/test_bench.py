@@ -25,6 +25,8 @@ from bench import (
     peers,
     plots,
     polyhedra,
+    prior_kernels,
+    prior_work,
     readme,
     real_sensors,
     report,
@@ -77,6 +79,8 @@ def test_counted_ratios_are_the_papers():
     assert per_pixel["explicit", "range"] == 15
     assert counts["naive"]["standard"].arguments == 8
     assert counts["naive"]["range"].arguments == 4
+    assert per_pixel["tang", "standard"] == 42
+    assert per_pixel["erdogan", "standard"] == 14
 
 
 def test_executed_operations():
@@ -102,6 +106,38 @@ def test_what_is_timed_is_the_librarys_fit(method, implementation, disparity):
     np.testing.assert_allclose(fit.arrays["planes"], expected.planes, rtol=0, atol=1e-6)
 
 
+@pytest.mark.parametrize("is_tang", [True, False])
+def test_prior_work_fits_the_same_planes(is_tang):
+    frame, camera = methods.sensor(not is_tang)
+    tiles = rp.fit_tiles(frame.raw, camera, 40)
+    row, column = np.indices(tiles.shape).reshape(2, -1) * 40
+    fit = prior_work.PriorFit(np.column_stack([row, column, np.full((len(row), 2), 40)]), is_tang)
+    fit.planes()
+    # Tang's sums are of rounded terms about the origin; Erdogan's are whole numbers, and exact.
+    atol = 1e-11 if is_tang else 1e-12
+    np.testing.assert_allclose(fit.alpha(), tiles.alpha.reshape(-1, 3), rtol=0, atol=atol)
+
+
+@pytest.mark.parametrize("kernel", [prior_kernels.tang_tables, prior_kernels.erdogan_tables])
+def test_tables_of_prior_work_are_its_normal_equations(kernel):
+    frame, camera = methods.sensor()
+    q = np.where(frame.values.raw > 0, 1000.0 / np.maximum(frame.values.raw, 1), 0.0)
+    there = frame.values.raw > 0
+    u, v = camera.tan_x * there, camera.tan_y * there
+    raw = frame.values.raw.astype(float)
+    terms = (
+        (u * u, u * v, u, v * v, v, u * q, v * q, q) if kernel is prior_kernels.tang_tables else (u * raw, v * raw, raw)
+    )
+    tables = np.empty((481, 641, len(terms)))
+    kernel(frame.values, (camera.tan_x, camera.tan_y), None, tables)
+    assert not tables[0].any()
+    assert not tables[:, 0].any()
+    for k, term in enumerate(terms):
+        np.testing.assert_allclose(
+            tables[1:, 1:, k], term.cumsum(0).cumsum(1), rtol=1e-9, atol=1e-9 * np.abs(term).sum()
+        )
+
+
 def test_sensor_is_the_papers():
     frame, camera = methods.sensor()
     assert frame.raw.shape == (480, 640)
@@ -117,7 +153,7 @@ def test_sensor_is_the_papers():
 def test_report_holds_every_claim(quick_run):
     folder, result = quick_run
     text = (folder / "report.md").read_text()
-    assert set(result["op_count"]) == {"implicit", "explicit", "naive"}
+    assert set(result["op_count"]) == {"implicit", "explicit", "naive", "tang", "erdogan"}
     for key, title, _ in report.CLAIMS:
         claim = result["time"][key]
         new, old = claim["seconds"]
