@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from rgbd_planes._core.checks import number, real_array
 from rgbd_planes.camera.camera import Camera, check_camera
 from rgbd_planes.export.rerun_scene import (
+    CameraPath,
     PlaneColours,
     coloured,
     log_camera,
@@ -24,7 +25,6 @@ from rgbd_planes.export.rerun_scene import (
     rerun,
     set_time,
 )
-from rgbd_planes.plotting.colours import in_image
 from rgbd_planes.segmentation.result import Segmentation, no_segmentation
 from rgbd_planes.segmentation.tracking import TrackedSegmentation
 
@@ -72,7 +72,7 @@ class LiveView:
             raise ValueError(f'expected where as "window", "browser" or a path that ends in .rrd, got {place!r}')
         self._rr = rr = rerun()
         self._stream = rr.RecordingStream("rgbd_planes")
-        self._frame, self._colours, self._path = 0, PlaneColours(), np.zeros((0, 3))
+        self._frame, self._colours, self._path = 0, PlaneColours(), CameraPath()
         self.url = None
         if place == "window":
             self._stream.spawn(default_blueprint=_blueprint())
@@ -165,13 +165,7 @@ class LiveView:
         matrix = real_array("pose", pose)
         if matrix.shape != (4, 4):
             raise ValueError(f"expected pose as a (4, 4) matrix, camera to world, got {matrix.shape}")
-        signs = np.diag(np.sign([camera.fx, camera.fy, 1.0]))  # axes of the image, as all else
-        turn, place = signs @ matrix[:3, :3] @ signs, in_image(matrix[:3, 3], camera)
-        transform = self._rr.Transform3D(translation=place, mat3x3=turn)
-        for entity in ("camera", "points", "planes"):
-            self._stream.log(entity, transform)
-        self._path = np.vstack([self._path, place])
-        self._stream.log("path", self._rr.LineStrips3D([self._path], colors=[255, 160, 0]))
+        self._path.log(self._rr, self._stream, matrix, camera)
 
 
 def _blueprint() -> Any:

@@ -7,12 +7,16 @@ from functools import lru_cache
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from rgbd_planes._core.checks import shaped_array
 from rgbd_planes._core.files import write_beside
+from rgbd_planes._core.rotations import as_motion
 from rgbd_planes._core.user_warnings import warn_caller
 from rgbd_planes.camera.camera import Camera
 from rgbd_planes.camera.frame import Frame
 from rgbd_planes.export.rerun_scene import (
+    CameraPath,
     PlaneColours,
     log_camera,
     log_depth,
@@ -40,6 +44,7 @@ def record(
     *,
     max_missing: float = 0.5,
     max_error: float | None = None,
+    poses: ArrayLike | None = None,
 ) -> None:
     """Fit the tiles of a sequence and write a recording that rerun shows; whole or not at all.
 
@@ -55,6 +60,9 @@ def record(
         Share of missing pixels above which a tile gets TOO_FEW.
     max_error : float, optional
         Tiles with a larger ``rmse_metric``, in metres, get ROUGH.
+    poses : (N, 4, 4) array_like, optional
+        Camera to world of each frame, such as ``T_world_camera`` of `Odometry`; NaN where it is not known. By default
+        those that the frames state.
 
     Raises
     ------
@@ -89,10 +97,11 @@ def record(
 
     with _recording(path) as (rr, stream):
         check_sequence(sequence)
+        places = _Places(sequence, poses)
         fitter(sequence.camera)  # what is wrong with the settings is wrong with no frame
         for index, frame, tiles in _each(sequence, lambda frame: fitter(frame.camera).fit(frame.depth)):
             camera = frame.camera
-            _log_frame(rr, stream, index, frame)
+            _log_frame(rr, stream, index, frame, places)
             # In the axes of the image, the only ones that rerun's pinhole has.
             corners, planes = polygons_of(tiles)
             polygons, normals = in_image(corners, camera), in_image(planes[:, :3], camera)
@@ -105,7 +114,9 @@ def record(
             stream.log("fitted", rr.Scalars(float(np.count_nonzero(tiles.fitted))))
 
 
-def record_segments(sequence: FrameSequence, path: str | os.PathLike[str], *, min_size: int = MIN_SIZE) -> None:
+def record_segments(
+    sequence: FrameSequence, path: str | os.PathLike[str], *, min_size: int = MIN_SIZE, poses: ArrayLike | None = None
+) -> None:
     """Segment a sequence and write a recording that rerun shows; whole or not at all.
 
     Parameters
@@ -114,6 +125,8 @@ def record_segments(sequence: FrameSequence, path: str | os.PathLike[str], *, mi
     path : .rrd file
     min_size : int
         Pixels that a plane must have.
+    poses : (N, 4, 4) array_like, optional
+        Camera to world of each frame, as in `record`.
 
     Raises
     ------
@@ -145,9 +158,10 @@ def record_segments(sequence: FrameSequence, path: str | os.PathLike[str], *, mi
     with _recording(path) as (rr, stream):
         check_sequence(sequence)
         check_min_size(min_size)
+        places = _Places(sequence, poses)
         for index, frame, found in _each(sequence, lambda frame: segment(frame.depth, frame.camera, min_size=min_size)):
             tracked = tracker.follow(found)
-            _log_frame(rr, stream, index, frame)
+            _log_frame(rr, stream, index, frame, places)
             log_labels(rr, stream, tracked.labels, colours)
             log_outlines(rr, stream, found, tracked.ids, colours)
         colours.log(rr, stream)
@@ -191,10 +205,27 @@ def _each(sequence: FrameSequence, fit: Callable[[Frame], Fit]) -> Iterator[tupl
         warn_caller(f"skipped {line}")
 
 
-def _log_frame(rr: Any, stream: Any, index: int, frame: Frame) -> None:
-    """Set the time, and log the camera and its depth."""
+class _Places:
+    """Where the camera is at each frame: as given, or as the frames state."""
+
+    def __init__(self, sequence: FrameSequence, poses: ArrayLike | None) -> None:
+        self._given = None if poses is None else shaped_array("poses", poses, (4, 4))
+        if self._given is not None and self._given.shape[:-2] != (len(sequence),):
+            raise ValueError(f"expected {len(sequence)} poses of shape (4, 4), one a frame, got {self._given.shape}")
+        self._path = CameraPath()
+
+    def log(self, rr: Any, stream: Any, index: int, frame: Frame) -> None:
+        """Log where a frame was seen from, if that is known."""
+        pose = frame.pose if self._given is None else self._given[index]
+        if pose is not None and np.isfinite(pose).all():
+            self._path.log(rr, stream, as_motion("pose", pose), frame.camera)
+
+
+def _log_frame(rr: Any, stream: Any, index: int, frame: Frame, places: _Places) -> None:
+    """Set the time, and log where the camera is, the camera and its depth."""
     camera = frame.camera
     set_time(stream, index, frame.timestamp)
+    places.log(rr, stream, index, frame)
     points = camera.points(frame.depth)
     if camera.distortion_model == "fisheye":  # rerun has no such camera
         measured = np.isfinite(points[..., 2])

@@ -49,6 +49,22 @@ def log_depth(rr: Any, stream: Any, metres: NDArray[np.float64]) -> None:
     stream.log("camera/depth", rr.DepthImage(np.nan_to_num(metres).astype(np.float32), meter=1.0))
 
 
+class CameraPath:
+    """Where the camera is: moves what it sees to its place in the world, and leaves its path behind."""
+
+    def __init__(self) -> None:
+        self._places = np.zeros((0, 3))
+
+    def log(self, rr: Any, stream: Any, pose: NDArray[np.float64], camera: Camera) -> None:
+        """Log the transforms of ``camera``, ``points`` and ``planes``, and ``path``; the pose is camera to world."""
+        signs = np.diag(np.sign([camera.fx, camera.fy, 1.0]))  # axes of the image, as all else
+        turn, place = signs @ pose[:3, :3] @ signs, in_image(pose[:3, 3], camera)
+        for entity in ("camera", "points", "planes"):
+            stream.log(entity, rr.Transform3D(translation=place, mat3x3=turn))
+        self._places = np.vstack([self._places, place])
+        stream.log("path", rr.LineStrips3D([self._places], colors=[255, 160, 0]))
+
+
 class PlaneColours:
     """One colour for each id, which a plane keeps from frame to frame, and the list of them that the viewer needs."""
 

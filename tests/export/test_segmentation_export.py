@@ -431,6 +431,30 @@ def test_rerun_recording_holds_every_frame(tmp_path, monkeypatch):
         assert np.array_equal(np.array(read[0], np.uint8).view(np.uint16), expected.ravel())
 
 
+@pytest.mark.parametrize("is_given", [False, True])
+def test_a_recording_has_the_path_of_the_camera(depth, tmp_path, is_given):
+    """Of the frames themselves, or as an odometry found it; one pose is not known."""
+    pytest.importorskip("rerun")
+    pytest.importorskip("shapely")
+    poses = np.tile(np.eye(4), (3, 1, 1))
+    poses[:, :3, 3] = [(0.0, 0.0, 0.0), (np.nan, 0.0, 0.0), (0.1, -0.2, 0.3)]
+    poses[2, :3, :3] = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    stated = [None if is_given or i == 1 else pose for i, pose in enumerate(poses)]
+    entries = [FrameEntry(f"{i}.png", float(i), CAMERA, i, pose) for i, pose in enumerate(stated)]
+    sequence = FrameSequence(entries, [depth, depth, depth].__getitem__)
+    for write in (recording.record, recording.record_segments):
+        write(sequence, tmp_path / "path.rrd", poses=poses if is_given else None)
+        columns = columns_of(tmp_path / "path.rrd")
+        first, last = columns["/path", "LineStrips3D:strips"]
+        np.testing.assert_allclose(first, [[poses[0, :3, 3]]])
+        np.testing.assert_allclose(last, [[poses[0, :3, 3], poses[2, :3, 3]]], rtol=1e-6)
+        for entity in ("/camera", "/planes"):
+            turn = np.reshape(columns[entity, "Transform3D:mat3x3"][-1], (3, 3)).T  # by columns
+            np.testing.assert_allclose(turn, poses[2, :3, :3])
+        with pytest.raises(ValueError, match="expected 3 poses"):
+            write(sequence, tmp_path / "path.rrd", poses=poses[:2])
+
+
 def test_frames_that_cannot_be_recorded_are_skipped_and_named(depth, tmp_path):
     pytest.importorskip("rerun")
     pytest.importorskip("shapely")
