@@ -72,7 +72,7 @@ def odometry(parser: argparse.ArgumentParser) -> Run:
         known = np.isfinite(np.array(truth)).all(axis=(1, 2))
         shown = None
         if np.count_nonzero(known) > 2:
-            errors = trajectory_errors(estimated, truth)
+            errors = trajectory_errors(estimated, truth, timestamps=[pose.timestamp for pose in poses])
             print(_in_words(errors))
             shown = np.linalg.inv(errors.T_truth_estimated) @ np.array(truth)
         if arguments.out is not None:
@@ -99,9 +99,8 @@ def _in_words(errors: "TrajectoryErrors") -> str:
     ]
     for each in errors.relative:
         if len(each.translation):
-            over = "a frame" if each.step == 1 else f"{each.step} frames"
             lines.append(
-                f"Over {over}: median {1e3 * np.median(each.translation):.1f} mm and "
+                f"Over {each.over}: median {1e3 * np.median(each.translation):.1f} mm and "
                 f"{np.median(each.angle_deg):.2f} degrees, rmse {1e3 * each.translation_rmse:.1f} mm and "
                 f"{each.angle_rmse:.2f} degrees."
             )

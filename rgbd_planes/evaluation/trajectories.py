@@ -9,35 +9,44 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes._core.arrays import Floats
-from rgbd_planes._core.checks import check_whole, shaped_array
+from rgbd_planes._core.checks import check_whole, numbers, real_array, shaped_array
 from rgbd_planes._core.rotations import as_motion, nearest_rotation
+from rgbd_planes._core.text import counted
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RelativeErrors:
-    """Errors of the motions over a number of frames.
+    """Errors of the motions over a number of frames, or over a time.
 
     Attributes
     ----------
     step : int
-        Frames from the beginning of a motion to its end.
+        Frames from the beginning of a motion to its end; 0 where a time is what they have in common.
     translation : (M,) float64
         Metres: length of the translation of truth⁻¹ · estimate, for each pair of frames whose poses are known.
     angle_deg : (M,) float64
         Degrees: angle of its rotation.
+    seconds : float
+        The time from the beginning of a motion to its end; NaN where frames are counted.
     """
 
     step: int
     translation: Floats
     angle_deg: Floats
+    seconds: float = float("nan")
 
     def __repr__(self) -> str:
         if not len(self.translation):
-            return f"<RelativeErrors: over {self.step} frames, no pairs>"
+            return f"<RelativeErrors: over {self.over}, no pairs>"
         return (
-            f"<RelativeErrors: over {self.step} frames, median {1e3 * np.median(self.translation):.2f} mm, "
+            f"<RelativeErrors: over {self.over}, median {1e3 * np.median(self.translation):.2f} mm, "
             f"{np.median(self.angle_deg):.3f} degrees>"
         )
+
+    @property
+    def over(self) -> str:
+        """In words, how long the motions are: "1 frame", "30 frames", "1 s"."""
+        return counted(self.step, "frame") if self.step else f"{self.seconds:g} s"
 
     @property
     def translation_rmse(self) -> float:
@@ -63,7 +72,7 @@ class TrajectoryErrors:
     path_length : float
         Metres: length of the true path, over the frames whose poses are known.
     relative : tuple of RelativeErrors
-        One for each step.
+        One for each step, and one for each time.
     """
 
     T_truth_estimated: Floats
@@ -83,7 +92,14 @@ class TrajectoryErrors:
         return _root_mean_square(self.absolute[np.isfinite(self.absolute)])
 
 
-def trajectory_errors(estimated: ArrayLike, truth: ArrayLike, *, steps: Sequence[int] = (1, 30)) -> TrajectoryErrors:
+def trajectory_errors(
+    estimated: ArrayLike,
+    truth: ArrayLike,
+    *,
+    steps: Sequence[int] = (1, 30),
+    timestamps: ArrayLike | None = None,
+    seconds: Sequence[float] = (1.0,),
+) -> TrajectoryErrors:
     """Absolute and relative errors of a trajectory.
 
     Parameters
@@ -93,6 +109,11 @@ def trajectory_errors(estimated: ArrayLike, truth: ArrayLike, *, steps: Sequence
         known are NaN or infinite.
     steps : sequence of int
         Frames over which relative errors are taken: 1 is from frame to frame, 30 is a second of most sensors.
+    timestamps : (N,) array_like, optional
+        Seconds, not falling; NaN for none. With them relative errors are taken over times as well.
+    seconds : sequence of float
+        These times. A motion ends at the frame whose timestamp is nearest, if that is off by half the median time
+        between frames at most.
 
     Returns
     -------
@@ -101,7 +122,8 @@ def trajectory_errors(estimated: ArrayLike, truth: ArrayLike, *, steps: Sequence
     Raises
     ------
     TypeError, ValueError
-        The shapes differ, a pose is no rigid motion, no frame has both poses, or a step is no whole number above 0.
+        The shapes differ, a pose is no rigid motion, no frame has both poses, a step is no whole number above 0, a time
+        not above 0, or the timestamps fall.
 
     Notes
     -----
@@ -120,7 +142,44 @@ def trajectory_errors(estimated: ArrayLike, truth: ArrayLike, *, steps: Sequence
     moved = poses[:, :3, 3] @ motion[:3, :3].T + motion[:3, 3]
     absolute = np.where(known, np.linalg.norm(moved - true[:, :3, 3], axis=1), np.nan)
     path = float(np.linalg.norm(np.diff(true[known, :3, 3], axis=0), axis=1).sum())
-    return TrajectoryErrors(motion, absolute, path, tuple(_relative(poses, true, known, step) for step in each))
+    relative = [RelativeErrors(step, *_relative(poses, true, *_pairs_of(known, step))) for step in each]
+    if timestamps is not None:
+        times = _times(timestamps, len(poses))
+        for time in numbers("seconds", seconds):
+            if time <= 0.0:
+                raise ValueError(f"expected seconds above 0, got {time:g}")
+            relative.append(RelativeErrors(0, *_relative(poses, true, *_pairs_over(times, known, time)), time))
+    return TrajectoryErrors(motion, absolute, path, tuple(relative))
+
+
+def _times(timestamps: ArrayLike, count: int) -> Floats:
+    """(N,): the timestamps of as many frames."""
+    times = real_array("timestamps", timestamps)
+    if times.shape != (count,):
+        raise ValueError(f"expected {count} timestamps, one a frame, got shape {times.shape}")
+    if (np.diff(times[np.isfinite(times)]) < 0.0).any():
+        raise ValueError("expected timestamps that do not fall")
+    return times
+
+
+def _pairs_of(known: NDArray[np.bool_], step: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First and last frames of motions over so many frames."""
+    first = np.flatnonzero(known[:-step] & known[step:])
+    return first, first + step
+
+
+def _pairs_over(times: Floats, known: NDArray[np.bool_], seconds: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First and last frames of motions over a time, as near to it as frames are."""
+    frames = np.flatnonzero(known & np.isfinite(times))
+    stamps = times[frames]
+    if len(stamps) < 2:
+        return frames[:0], frames[:0]
+    after = np.clip(np.searchsorted(stamps, stamps + seconds), 1, len(stamps) - 1)
+    nearest = after - (stamps + seconds - stamps[after - 1] <= stamps[after] - (stamps + seconds))
+    off = np.abs(stamps[nearest] - stamps - seconds)
+    # A little more than half: timestamps are rounded.
+    near = (off <= 0.51 * np.median(np.diff(stamps))) & (frames[nearest] > frames)
+    return frames[near], frames[nearest[near]]
 
 
 def _motions(name: str, poses: Floats, known: NDArray[np.bool_]) -> Floats:
@@ -139,15 +198,17 @@ def _nearest_motion(points: Floats, others: Floats) -> Floats:
     return motion
 
 
-def _relative(poses: Floats, true: Floats, known: NDArray[np.bool_], step: int) -> RelativeErrors:
-    both = np.flatnonzero(known[:-step] & known[step:])
-    estimated = np.linalg.solve(poses[both], poses[both + step])
-    error = np.linalg.solve(np.linalg.solve(true[both], true[both + step]), estimated)
+def _relative(
+    poses: Floats, true: Floats, first: NDArray[np.intp], last: NDArray[np.intp]
+) -> tuple[Floats, NDArray[np.float64]]:
+    """Metres and degrees by which motions between frames are off."""
+    estimated = np.linalg.solve(poses[first], poses[last])
+    error = np.linalg.solve(np.linalg.solve(true[first], true[last]), estimated)
     rotation = error[:, :3, :3]
     # The arctangent keeps its digits near 0 and 180 degrees, where the arccosine loses them.
     axis = np.stack([rotation[:, j, i] - rotation[:, i, j] for i, j in ((1, 2), (2, 0), (0, 1))], axis=1)
     angle = np.arctan2(np.linalg.norm(axis, axis=1), np.trace(rotation, axis1=1, axis2=2) - 1.0)
-    return RelativeErrors(step, np.linalg.norm(error[:, :3, 3], axis=1), np.degrees(angle))
+    return np.linalg.norm(error[:, :3, 3], axis=1), np.degrees(angle)
 
 
 def _root_mean_square(values: Floats) -> float:

@@ -64,6 +64,32 @@ def test_poses_that_are_not_known_do_not_count() -> None:
     assert "no pairs" in repr(errors)
 
 
+def test_errors_over_a_second_are_of_frames_a_second_apart() -> None:
+    """At 10 frames a second, of which one is missing: the motions that would end or begin there are left out."""
+    kept = np.delete(np.arange(40), 17)
+    truth, estimated = walk(40)[kept], walk(40, 1, 0.02)[kept]
+    stamps = 1e9 + 0.1 * kept + np.random.default_rng(0).uniform(-0.02, 0.02, 39)
+    errors = metrics.trajectory_errors(estimated, truth, steps=(1,), timestamps=stamps, seconds=(1.0, 60.0))
+    assert [each.over for each in errors.relative] == ["1 frame", "1 s", "60 s"]
+    pairs = [(i, i + 10) for i in range(30) if i not in (7, 17)]
+    place = {number: i for i, number in enumerate(kept.tolist())}
+    expected = []
+    for first, last in pairs:
+        i, j = place[first], place[last]
+        off = np.linalg.inv(np.linalg.inv(truth[i]) @ truth[j]) @ np.linalg.inv(estimated[i]) @ estimated[j]
+        expected.append(np.linalg.norm(off[:3, 3]))
+    np.testing.assert_allclose(errors.relative[1].translation, expected, rtol=1e-9)
+    assert not len(errors.relative[2].translation)
+    unknown = np.where(kept == 3, np.nan, stamps)
+    again = metrics.trajectory_errors(estimated, truth, timestamps=unknown)
+    assert len(again.relative[2].translation) == len(pairs) - 1
+    for wrong, message in ((stamps[:5], "39 timestamps"), (stamps[::-1], "do not fall")):
+        with pytest.raises(ValueError, match=message):
+            metrics.trajectory_errors(estimated, truth, timestamps=wrong)
+    with pytest.raises(ValueError, match="seconds"):
+        metrics.trajectory_errors(estimated, truth, timestamps=stamps, seconds=(0.0,))
+
+
 def test_what_is_no_trajectory() -> None:
     truth = walk(5)
     with pytest.raises(ValueError, match="same frames"):
@@ -83,12 +109,12 @@ def test_as_evo() -> None:
     from evo.core.trajectory import PosePath3D
 
     truth, estimated = walk(90), walk(90, 1, 0.02)
-    ours = metrics.trajectory_errors(estimated, truth, steps=(1, 30))
+    ours = metrics.trajectory_errors(estimated, truth, steps=(1, 30), timestamps=5.0 + np.arange(90) / 30.0)
     reference, path = PosePath3D(poses_se3=list(truth)), PosePath3D(poses_se3=list(estimated))
     for step in ours.relative:
         for relation, own in (("translation_part", step.translation), ("rotation_angle_deg", step.angle_deg)):
             error = evo_metrics.RPE(
-                evo_metrics.PoseRelation[relation], step.step, evo_metrics.Unit.frames, all_pairs=True
+                evo_metrics.PoseRelation[relation], step.step or 30, evo_metrics.Unit.frames, all_pairs=True
             )
             error.process_data((reference, path))
             np.testing.assert_allclose(own, error.error, rtol=1e-6, atol=1e-9)
