@@ -68,6 +68,13 @@ def labels(case):
     promises.fits(found)
 
 
+def primitives(case):
+    parts = case.rng.integers(0, 4, (4, 4)).repeat(-(-case.camera.shape[0] // 4), 0)
+    parts = parts.repeat(-(-case.camera.shape[1] // 4), 1)[: case.camera.shape[0], : case.camera.shape[1]]
+    level = [None, 0.0, 1e-3][case.rng.integers(3)]
+    promises.primitives(rp.fit_primitives(case.depth, case.camera, parts, significance=level))
+
+
 def merge(case):
     found = rp.fit_tiles(case.depth, case.camera, 8, str(case.rng.choice(inputs.METHODS)))
     promises.fits(rp.merge(found, case.rng.integers(0, 4, found.shape)))
@@ -122,9 +129,10 @@ def uncertainty(case):
 
 
 CALLS: dict[str, tuple[Callable[[Case], object], float]] = {
-    "fit_tiles": (tiles, 0.6),
+    "fit_tiles": (tiles, 0.55),
     "fit_windows": (windows, 0.08),
     "fit_labels": (labels, 0.05),
+    "fit_primitives": (primitives, 0.05),
     "merge": (merge, 0.05),
     "normals": (normals, 0.06),
     "curvature": (curvature, 0.06),

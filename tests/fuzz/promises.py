@@ -97,3 +97,22 @@ def same(one, other, what):
 
 
 STATUSES = rp.TileStatus
+
+
+def primitives(result):
+    """Of a `PrimitiveFits`: what each kind has and lacks, residuals and covariances."""
+    kind, status = result.kind, result.status
+    has_kind = kind != rp.Primitive.NONE
+    curved = np.isin(kind, (rp.Primitive.SPHERE, rp.Primitive.CYLINDER))
+    promise(has_kind == (status == OK), "a kind where the status is OK")
+    promise((result.radius > 0.0) == curved, "a radius for what is curved")
+    promise(np.isfinite(result.radius[curved]), "radii are finite")
+    promise(np.isfinite(result.centre[has_kind]), "centres are finite")
+    promise(np.isnan(result.centre[~has_kind]), "no centre without a kind")
+    has_axis = np.isin(kind, (rp.Primitive.PLANE, rp.Primitive.CYLINDER))
+    promise(np.abs(np.linalg.norm(result.axis[has_axis], axis=1) - 1.0) < 1e-9, "axes have length 1")
+    fitted = np.isin(status, (OK, ROUGH))
+    promise(np.isfinite(result.rmse[fitted]) & (result.rmse[fitted] >= 0.0), "rmse is finite")
+    promise((result.p_value[fitted] >= 0.0) & (result.p_value[fitted] <= 1.0), "a probability")
+    promise(result.valid_count[fitted] >= 6, "a primitive has six pixels")
+    covariances(result.covariance[has_kind], "covariances of primitives")

@@ -178,6 +178,34 @@ def test_without_a_noise_model_the_frame_tells_its_noise():
     assert model.radius[0] == given.radius[0]
 
 
+@pytest.mark.parametrize("name", SHAPES)
+def test_errors_across_the_ray_and_rounding_weigh_pixels_by_slope_and_depth(name):
+    kind, parameters, near = SHAPES[name]
+    model = rp.noise.NoiseModel((SIGMA, 1e-3), lateral=0.5, step=0.004)
+    camera = CAMERA.with_noise(model)
+    rays, q = rays_and_q(name)
+    u, v = np.array([1e-5, 0.0, 0.0]), np.array([0.0, 1e-5, 0.0])
+    slopes = [
+        (inverse_depth_of(rays + d, kind, parameters, near) - inverse_depth_of(rays - d, kind, parameters, near)) / 2e-5
+        for d in (u, v)
+    ]
+    with np.errstate(invalid="ignore"):
+        sigma = np.sqrt(
+            (SIGMA + 1e-3 * q) ** 2
+            + (0.004 * q * q) ** 2 / 12.0
+            + (0.5 / 130.0) ** 2 * (slopes[0] ** 2 + slopes[1] ** 2)
+        )
+    # Pixels that graze the surface have no slope within a step of the ray.
+    mask = np.isfinite(sigma) & (sigma < 20.0 * SIGMA)
+    depth = np.where(mask, frame_of(q + sigma * np.random.default_rng(3).standard_normal(q.shape)), 0.0)
+    fits = rp.fit_primitives(depth, camera, mask)
+    best, covariance, _ = most_likely(rays[mask], 1.0 / depth[mask], sigma[mask], kind, parameters, near)
+    assert fits.kind[0] == KINDS[kind]
+    assert fits.radius_std[0] == pytest.approx(np.sqrt(covariance[-1, -1]), rel=0.04)  # theirs are at the fit
+    assert abs(fits.radius[0] - best[-1]) < 0.2 * fits.radius_std[0]
+    assert fits.p_value[0] > 0.001
+
+
 @pytest.mark.parametrize("name", ["ball", "pipe"])
 def test_errors_that_neighbours_share_are_in_the_covariance_and_the_chances(name):
     model = rp.noise.NoiseModel((SIGMA,), correlation=((0.5, 2.0), (0.2, 5.0)), floor=0.5, floor_length=15.0)

@@ -16,7 +16,7 @@ from ...statistics.correlated_errors import (
     product,
     trace_of_product,
 )
-from .minimise import product_of_rows
+from ...statistics.correlation_cells import sum_of_products
 from .quadric import BLOCK, CYLINDER, PARAMETERS, evaluate, parameters_of
 
 # Rows of cells: σ's share times the derivatives, σ's share, and the number of pixels.
@@ -86,8 +86,8 @@ def add_derivatives(label, surface, kind, is_shared, grid, work, normal, alone, 
             for i in range(count):
                 weighted[i] = (1.0 - shares[begin + i] ** 2) * work[j, i]
             for k in range(j + 1):
-                normal[j, k] += product_of_rows(work[j], work[k], count)
-                alone[j, k] += product_of_rows(weighted, work[k], count)
+                normal[j, k] += sum_of_products(work[j], work[k], count)
+                alone[j, k] += sum_of_products(weighted, work[k], count)
     for j in range(number):
         for k in range(j):
             normal[k, j], alone[k, j] = normal[j, k], alone[j, k]

@@ -6,6 +6,7 @@ import numpy as np
 
 from ..._jit.kernel import kernel
 from ...solvers.cholesky import factorise, solve
+from ...statistics.correlation_cells import sum_of_products
 from .quadric import BLOCK, CYLINDER, KAPPA, PARAMETERS, Q0, RESIDUAL, SURFACE, evaluate, moved, parameters_of
 
 # The search ends with a step that lowers the sum of squares, in units of the variance, by less: a thousandth of a
@@ -13,15 +14,6 @@ from .quadric import BLOCK, CYLINDER, KAPPA, PARAMETERS, Q0, RESIDUAL, SURFACE, 
 ENOUGH, ROUNDS = 1e-6, 40
 # Damping, relative to the diagonal of the normal equations.
 LEAST_DAMPING, MOST_DAMPING = 1e-9, 1e9
-
-
-@kernel(reduction=True)
-def product_of_rows(a, b, count):
-    """Sum of products of two rows."""
-    total = 0.0
-    for i in range(count):
-        total += a[i] * b[i]
-    return total
 
 
 @kernel()
@@ -50,9 +42,9 @@ def normal_equations(pixels, weights, surface, kind, work, normal, right):
         evaluate(us, vs, qs, weights, begin, end, surface, f, work)
         for j in range(number):
             for k in range(j + 1):
-                normal[j, k] += product_of_rows(work[j], work[k], count)
-            right[j] += product_of_rows(work[j], work[RESIDUAL], count)
-        total += product_of_rows(work[RESIDUAL], work[RESIDUAL], count)
+                normal[j, k] += sum_of_products(work[j], work[k], count)
+            right[j] += sum_of_products(work[j], work[RESIDUAL], count)
+        total += sum_of_products(work[RESIDUAL], work[RESIDUAL], count)
     for j in range(number):
         for k in range(j):
             normal[k, j] = normal[j, k]

@@ -43,13 +43,14 @@ def select(fitted: Fitted, level: float) -> dict[str, npt.NDArray[Any]]:
     every = np.arange(len(which))
     totals, chances = fitted.totals[every, which], fitted.chances[every, which]
     surfaces, covariances = fitted.surfaces[every, which], fitted.covariances[every, which]
-    is_fitted = np.isfinite(totals)
+    is_fitted = np.isfinite(totals) & np.isfinite(chances[:, 0])
     made["status"][fitted.counts >= _FEWEST] = TileStatus.DEGENERATE
     with np.errstate(invalid="ignore", divide="ignore"):
         made["rmse"][:] = np.sqrt(totals / fitted.weight)
         made["p_value"][:] = _tails(totals / chances[:, 0], chances[:, 1], fitted.spread)
         towards = -(surfaces[:, NORMAL : NORMAL + 3] * _points(surfaces)).sum(axis=1)
         made["rmse_metric"][:] = made["rmse"] * towards / surfaces[:, Q0]
+    made["rmse"][~is_fitted] = made["rmse_metric"][~is_fitted] = np.nan
     is_kind = is_fitted & (made["p_value"] >= level)
     made["status"][is_fitted] = np.where(is_kind[is_fitted], TileStatus.OK, TileStatus.ROUGH)
     made["kind"][is_kind] = _KINDS[which[is_kind]]
