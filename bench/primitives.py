@@ -72,6 +72,7 @@ class Shape(NamedTuple):
         information = slopes[known].T @ slopes[known] / sigma**2
         # An axis may slide along itself, and has a length of its own: of these nothing is known, and nothing is asked.
         size = np.sqrt(np.diag(information))
+        size[size == 0.0] = 1.0
         inverse = np.linalg.pinv(information / np.outer(size, size), rcond=1e-7, hermitian=True)
         return float(np.sqrt(inverse[0, 0]) / size[0])
 
