@@ -1,7 +1,7 @@
 """How good a segmentation is, against one that is known to be right.
 
-Everything is read from one contingency table, the number of pixels that each pair of labels shares, so a frame is read
-once. Label 0 is "none" on both sides: unlabelled pixels belong to no region, but a region keeps all its pixels, even
+Everything is read from one contingency table, the number of pixels that each pair of labels shares. So a frame is read
+once. Label 0 is "none" on both sides: unlabelled pixels belong to no region. But a region keeps all its pixels, even
 those that the truth leaves unlabelled.
 """
 

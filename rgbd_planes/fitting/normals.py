@@ -48,7 +48,7 @@ def normals(
         may be missing. Then the best of eight windows beside it is used, which still hold the pixel: the one with the
         smallest residual. It takes about four times as long.
     max_missing : float
-        Share of the window's pixels inside the frame above which there is no normal; at 1 any pixels that determine a
+        Share of the window's pixels inside the frame above which there is no normal. At 1 any pixels that determine a
         plane will do.
     num_threads : int, optional
         None takes threads when the frame is large enough to pay for them. The result is the same for any number.
@@ -56,9 +56,9 @@ def normals(
     Returns
     -------
     (H, W, 3) ndarray of float32
-        Unit normals towards the camera: n·m < 0 along the pixel's ray m. NaN where the pixel is missing, or too much of
-        its window; where the window's valid pixels lie on one line; and where the pixel's ray does not meet the fitted
-        plane.
+        Unit normals towards the camera: n·m < 0 along the pixel's ray m. A normal is NaN where the pixel is missing, or
+        too much of its window. It is NaN, too, where the window's valid pixels lie on one line, or the pixel's ray does
+        not meet the fitted plane.
 
     Raises
     ------
@@ -73,17 +73,19 @@ def normals(
     Notes
     -----
     A window counts as crossed by an edge when the variance of its residuals exceeds that of a window beside it by more
-    than noise explains. The limit is the factor that independent normal noise exceeds in one to two cases of a
-    thousand, or in four with a window of 3. There is no threshold to set. It does not count where rounding to the
-    frame's raw values makes as large a variance, or where most windows of the frame have one as large. For sensors
-    round, too, and neighbouring pixels share errors, so that some windows are far calmer than others by chance. So
-    chance makes an edge where the frame is much noisier than elsewhere. With a window of 3 and its eight others that
-    happens to one pixel in a hundred. Where a fifth is missing, it happens to six in a hundred, and with a window of 7
-    to five in a thousand. A surface that bends by more than its noise within a window is also taken for an edge: its
-    normals are then the normals half a window away. With a window of 15, on a ball of 0.2 m radius at 1 m, they are off
-    by 8° where it is seen at 60° to 70° from its normal, and by 13° to 18° at its very rim.
+    than noise explains. Independent normal noise exceeds the limit in one to two cases of a thousand, or in four with a
+    window of 3. There is no threshold to set. A window does not count where rounding to the frame's raw values makes as
+    large a variance. Nor does it where most windows of the frame have one as large. Sensors round, too, and neighbours
+    share errors, so some windows are far calmer than others by chance.
 
-    A row of pixels that a lens bends counts as determining a plane, however badly. Sums and solution are float64;
+    Where the frame is much noisier than elsewhere, chance makes edges. With a window of 3 that happens to one pixel in
+    a hundred, and to six where a fifth is missing. With a window of 7 it happens to five in a thousand.
+
+    A surface that bends by more than its noise within a window counts as an edge, too. Its normals are then those half
+    a window away. An example is a ball of 0.2 m radius at 1 m, with a window of 15. Seen at 60° to 70° from its normal
+    it is off by 8°, at its very rim by 13° to 18°.
+
+    A row of pixels that a lens bends counts as determining a plane, however badly. Sums and solution are float64.
     float32 only rounds the result, by less than 1e-7 rad.
     """
     return _surfaces(depth, camera, window, avoid_edges, max_missing, num_threads, normals_only=True)[0]
@@ -137,10 +139,10 @@ def curvature(
     Surface variation is λ₁ / (λ₁ + λ₂ + λ₃), the share of the points' variance that lies across the plane. It comes
     from Pauly, Gross, Kobbelt, "Efficient simplification of point-sampled surfaces", IEEE Visualization 2002. PCL calls
     it curvature. Here the plane is the one that `normals` fits. λ₁ is the mean squared distance of the points from it,
-    and λ₂ + λ₃ the variance of the plane's points under the window's rays, both to first order in the window's extent.
-    Noise counts: a flat wall has λ₁ = σ², so a window must be wide enough for its points to spread farther than the
-    sensor's noise. It does not find depth edges. A plane across an edge runs along the rays, on which the points spread
-    far, so that the variation is small there. With ``avoid_edges`` it is the variation of one side.
+    and λ₂ + λ₃ the variance of the plane's points under the window's rays. Both are to first order in the window's
+    extent. Noise counts: a flat wall has λ₁ = σ². So a window must be wide enough for its points to spread farther than
+    the sensor's noise. It does not find depth edges. A plane across an edge runs along the rays, on which the points
+    spread far, so that the variation is small there. With ``avoid_edges`` it is the variation of one side.
     """
     return _surfaces(depth, camera, window, avoid_edges, max_missing, num_threads, normals_only=False)[1]
 

@@ -86,8 +86,8 @@ class PlaneFits:
     def p_value(self) -> Floats:
         """S float64: probability that the noise alone makes a residual as large; NaN where no plane is.
 
-        On flat surfaces it is uniform between 0 and 1; below the significance level a tile is ROUGH. It tests the
-        residual in inverse depth under ``camera.noise``: by its chi-square, or, where the noise has a spread, by its
+        On flat surfaces it is uniform between 0 and 1. Below the significance level a tile is ROUGH. It tests the
+        residual in inverse depth under ``camera.noise``, by its chi-square. Where the noise has a spread, it takes the
         ratio to a variance that differs from place to place. The residual of the ``standard_`` methods is in metres.
         For them this holds only where a part spans a small range of depths, and is much larger than the noise. A part
         of exactly three pixels, which fit exactly, has 1. It, the covariances and the standard deviations are computed
@@ -97,7 +97,7 @@ class PlaneFits:
         Raises
         ------
         ValueError
-            The camera has no noise model; the same for all of these.
+            The camera has no noise model. So it is for all of these.
         """
         return self._statistics.row(P_VALUE)
 
@@ -109,9 +109,9 @@ class PlaneFits:
         For labels by ``range_explicit`` it is exact wherever the noise is independent from pixel to pixel. For tiles,
         windows and unions of them it is exact if σq is also constant over each. Where it changes with the depth, or by
         a falloff, their pixels count as if they filled a parallelogram. Errors that neighbours share count by where the
-        pixels of labels and unions lie, and as if those of tiles and windows filled rectangles. For the other methods
-        it is the covariance of ``range_explicit`` on the same pixels, to first order in the spread of depths. Where σq
-        is constant, that is the bound which they reach at best. It leaves out that ``standard_explicit`` and
+        pixels of labels and unions lie. Tiles and windows count as if their pixels filled rectangles. For the other
+        methods it is the covariance of ``range_explicit`` on the same pixels, to first order in the spread of depths.
+        Where σq is constant, that is the bound which they reach at best. It leaves out that ``standard_explicit`` and
         ``standard_pca`` are biased.
         """
         return self._statistics.matrix(ALPHA_COVARIANCE, 3)

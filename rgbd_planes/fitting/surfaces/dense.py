@@ -35,7 +35,7 @@ def principal_curvatures(
         Side of the square window in pixels: odd, 3 to 31. Wide windows pay: the standard deviation of a curvature falls
         with the third power of it.
     max_missing : float
-        Share of the window's pixels inside the frame above which there is none; at 1 any pixels that determine a
+        Share of the window's pixels inside the frame above which there is none. At 1 any pixels that determine a
         surface will do.
     num_threads : int, optional
         None takes threads when the frame is large enough to pay for them. The result is the same for any number.
@@ -43,9 +43,9 @@ def principal_curvatures(
     Returns
     -------
     (H, W, 2) ndarray of float32
-        κ₁ >= κ₂ in 1/m on the pixel's ray, positive where the surface is convex towards the camera. NaN where the pixel
-        is missing, too much of its window is, the window's valid pixels lie on a conic, or the pixel's ray does not
-        meet the fitted surface. Sums and solution are float64.
+        κ₁ >= κ₂ in 1/m on the pixel's ray, positive where the surface is convex towards the camera. They are NaN where
+        the pixel is missing, or too much of its window. They are NaN, too, where the window's valid pixels lie on a
+        conic, or the pixel's ray does not meet the fitted surface. Sums and solution are float64.
 
     Raises
     ------
@@ -59,8 +59,8 @@ def principal_curvatures(
 
     Notes
     -----
-    Across depth edges the curvature is the edge's. `fit_surfaces` tells how sure it is of a curvature; `curvature` is
-    another quantity, the surface variation that PCL calls curvature, which noise changes most.
+    Across depth edges the curvature is the edge's. `fit_surfaces` tells how sure it is of a curvature. `curvature` is
+    another quantity: the surface variation that PCL calls curvature, which noise changes most.
     """
     check_camera(camera)
     side = check_window(window)

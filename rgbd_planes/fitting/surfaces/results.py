@@ -263,10 +263,15 @@ class SurfaceFits:
     def to_table(self) -> dict[str, npt.NDArray[Any]]:
         """Return one row per surface as a dict of equally long columns, which `pandas.DataFrame` takes.
 
-        Columns: of a tile its row and column, for a batch after its frame, and top, left, height and width in pixels;
-        of a window the last four; of a union its label. Then status (its name), valid_count; the point x, y, z in
-        metres and the normal nx, ny, nz; kappa_1, kappa_2, mean_curvature and gaussian_curvature; rmse, rmse_metric.
-        If the camera has a noise model: p_value, p_flat, mean_curvature_std, gaussian_curvature_std.
+        The first columns say where it is:
+
+        - tile: row, column, top, left, height, width, the last four in pixels; of a batch frame before them
+        - window: top, left, height, width
+        - union: label
+
+        Then come status (its name), valid_count, x, y, z in metres, and the normal nx, ny, nz. Then kappa_1, kappa_2,
+        mean_curvature, gaussian_curvature, rmse and rmse_metric. A camera with a noise model adds p_value, p_flat,
+        mean_curvature_std and gaussian_curvature_std.
         """
         names = np.array([status.name for status in TileStatus])
         columns: dict[str, npt.NDArray[Any]] = self._places()
