@@ -55,7 +55,7 @@ def _grow_nothing(region: Any, moments: Any, noise: Any, rules: Any, parent: Any
 
 def _find_nothing_curved(*arguments: Any) -> None:
     find_curved(*arguments)
-    arguments[5][:] = False
+    arguments[6][:] = False
 
 
 def _settle_nothing(inverse_depth: Any, runs: Any, found: Any, *others: Any) -> None:

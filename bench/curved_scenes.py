@@ -80,7 +80,7 @@ def solids(distance: float, size: float, turn: float = 10.0) -> scenes.Scene:
         *scenes.cylinder("pipe", at(3, 2), 0.5 * r, 2.0 * r, lying=True, turn=turn),
     )
     wall = scenes.polygon("wall", 3.0 * distance * np.array([(-1, -1, 0.5), (1, -1, 0.5), (1, 1, 0.5), (-1, 1, 0.5)]))
-    return scenes.Scene((wall, *shapes), scenes.look_at((0.0, -0.15 * distance, 0.0), (0.0, 0.0, distance)))
+    return scenes.Scene((wall, *shapes), scenes.look_at((0.0, -0.5 * distance, 0.0), (0.0, 0.0, distance)))
 
 
 def _sphere(count: int) -> Floats:

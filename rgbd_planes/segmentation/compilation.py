@@ -123,7 +123,7 @@ def _calls(dtype: str, is_disparity: bool) -> list[Call]:
     flags, sizes, none = np.empty(1, np.bool_), np.empty(1), np.uint8(0)
     modelled = plain(Modelled(np.empty((1, 6)), sizes, sizes, False, False))
     return [
-        (find_curved, (view, regions, planes, contacts, 1, flags, sizes)),
+        (find_curved, (view, regions, planes, contacts, 1, False, flags, sizes)),
         (assign_pixels, (view, regions, planes, work.last_region, np.empty((0, 3)), plain(work.contended),
                          regions[4])),
         (find_parts, (view, regions, flags, sizes, 1, reasons, runs, found)),

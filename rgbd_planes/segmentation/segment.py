@@ -161,7 +161,9 @@ def _segment(
     regions, touching = find_regions(view, work, min(min_size, MIN_SIZE))
     curved, deviation = np.empty(len(regions.moments), np.bool_), np.empty(len(regions.moments))
     of_regions = plain(fitted(regions, view))
-    find_curved(plain(view), plain(regions), of_regions, plain(work.contacts), touching, curved, deviation)
+    find_curved(
+        plain(view), plain(regions), of_regions, plain(work.contacts), touching, about_noise.is_exact, curved, deviation
+    )  # fmt: skip
     labels = Labels(aligned(camera.shape, np.int32), aligned(camera.shape, np.uint8))
     found = _find_planes(view, regions, curved, deviation, min_size, labels, work)
     found, evidence = _keep_evident(view, labels, found)

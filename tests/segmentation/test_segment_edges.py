@@ -7,12 +7,12 @@ from segment_frames import CAMERA, smooth_noise, two_planes
 
 from rgbd_planes import Camera, segment
 from rgbd_planes._core.status import Reason
+from rgbd_planes.evaluation import scenes
 from rgbd_planes.evaluation.metrics import compare_labels
 from rgbd_planes.kernels.segmentation.curved.curved import continues
-from rgbd_planes.kernels.segmentation.curved.facets import AWAY, STRAIGHT, TOWARDS, bend_between
+from rgbd_planes.kernels.segmentation.curved.facets import are_facets, mark_round
 from rgbd_planes.kernels.segmentation.model.quadrics import block_buffer, group_turns
 from rgbd_planes.kernels.segmentation.model.records import Planes
-from rgbd_planes.segmentation.workspace import rays_of
 
 
 @pytest.mark.parametrize(("step", "expected"), [(0.02, 2), (0.0005, 1)])
@@ -135,14 +135,76 @@ def test_a_column_of_eight_sides_is_its_sides(noise):
     assert np.count_nonzero(large) == 4  # the wall and three sides
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-4, 5e-4])
+def test_a_column_of_sixteen_sides_is_its_sides(noise):
+    q = column(16)
+    rng = np.random.default_rng(16)
+    found = segment(1.0 / (q + rng.normal(0.0, noise, q.shape)), CAMERA)
+    assert not (found.reason == Reason.CURVED).any()
+    assert np.count_nonzero(found.sizes > 1000) >= 6  # the wall and five sides or more
+
+
 @pytest.mark.parametrize("noise", [0.0, 1e-4])
 def test_a_column_of_many_sides_is_round(noise):
-    q = column(24)
+    """From the quadric its sides differ by less than noise would hide."""
+    q = column(48)
     rng = np.random.default_rng(16)
     found = segment(1.0 / (q + rng.normal(0.0, noise, q.shape)), CAMERA)
     on_column = q > 0.45
     assert (found.reason[on_column] == Reason.CURVED).mean() > 0.85
     assert (found.labels[~on_column] > 0).mean() > 0.98
+
+
+def test_a_rendered_mesh_of_a_ball_is_no_polyhedron():
+    for make, is_round in ((mesh_of_a_ball, True), (scenes.icosahedron, False), (scenes.dodecahedron, False)):
+        body = make("body", (0.0, 0.0, 1.2), 0.3)
+        wall = scenes.polygon("wall", [(-9, -9, 3), (9, -9, 3), (9, 9, 3), (-9, 9, 3)])
+        rendering = scenes.Scene((wall, *body), np.eye(4)).render(CAMERA)
+        on_body = rendering.labels > 1
+        found = segment(rendering.depth, CAMERA)
+        assert (found.reason[on_body] == Reason.CURVED).mean() == pytest.approx(float(is_round), abs=0.1)
+
+
+def mesh_of_a_ball(name, centre, radius):
+    """320 triangles, between the corners of an icosahedron and the middles of its edges, twice."""
+    corners = np.array([surface.plane[:3] for surface in scenes.dodecahedron("dual", (0.0, 0.0, 0.0), 1.0)])
+    for _ in range(2):
+        distance = np.linalg.norm(corners[:, None] - corners, axis=2) + 9.0 * np.eye(len(corners))
+        a, b = np.nonzero(np.triu(distance < 1.3 * distance.min()))
+        middles = corners[a] + corners[b]
+        corners = np.concatenate([corners, middles / np.linalg.norm(middles, axis=1, keepdims=True)])
+    return scenes.polyhedron(name, corners * radius + centre)
+
+
+@pytest.mark.parametrize("is_exact", [False, True])
+def test_facets_are_fitted_by_a_quadric_as_well_as_noise_can_tell(is_exact):
+    bend, covered = 3200.0, 0.9
+    assert are_facets(0.0, bend, covered, 0.06, 0.06, is_exact)
+    assert are_facets(-49.0, bend, covered, 0.06, 0.9, is_exact)
+    assert not are_facets(-51.0, bend, covered, 0.06, 0.9, is_exact)
+    assert not are_facets(0.0, bend, 0.3, 0.06, 0.06, is_exact)  # too little of the neighbour was looked at
+    assert are_facets(-1000.0, bend, covered, 0.01, 0.5, is_exact) == is_exact
+    assert are_facets(-1000.0, bend, covered, 0.5, 2.4, is_exact) == is_exact
+
+
+@pytest.mark.parametrize(
+    ("degrees", "pixels", "is_round"),
+    [
+        ((0, 30), (100, 100), False),  # two faces
+        ((0, 20, 40), (100, 100, 100), True),
+        ((0, 10, 20), (100, 100, 100), False),  # it turns too little
+        ((0, 20, 40), (300, 100, 100), False),  # a wall with two panels
+    ],
+)
+def test_three_facets_that_turn_are_round(degrees, pixels, is_round):
+    angle = np.radians([*degrees, 90.0])
+    alpha = np.column_stack([np.sin(angle), np.zeros(len(angle)), -np.cos(angle)])
+    moments = np.zeros((len(angle), 10))
+    moments[:, 0] = *pixels, 1000.0
+    parent = np.array([*[0] * len(degrees), len(degrees)])
+    curved = np.zeros(len(angle), np.bool_)
+    mark_round(parent, moments, alpha, np.zeros(len(angle)), np.radians(12.0), curved)
+    assert curved.tolist() == [is_round] * len(degrees) + [False]
 
 
 def test_the_sides_of_a_round_column_are_as_curved_as_its_front():
@@ -157,26 +219,6 @@ def test_the_sides_of_a_round_column_are_as_curved_as_its_front():
         found = segment(1.0 / (q + noise), CAMERA)
         assert (found.reason[on_column] == Reason.CURVED).mean() > 0.95
         assert (found.labels[~on_column] > 0).mean() > 0.98
-
-
-@pytest.mark.parametrize("degrees", range(0, 360, 45))
-def test_two_planes_are_bent_away_from_the_camera_or_towards_it(degrees):
-    """They meet in an edge in the middle of the image; ``degrees`` is across it."""
-    across = np.append(np.array([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))]), 0.0)
-    moments = np.zeros((2, 10))
-    moments[:, :3] = 100.0 * np.array([[1.0, *0.1 * across[:2]], [1.0, *-0.2 * across[:2]]])
-    touching, rays, blunt = np.array([1.0, 0.0, 0.0]), rays_of(CAMERA), np.radians(28.0)
-
-    def bent(slope, gap=0.0):
-        """Whose inverse depth falls by ``slope`` on either side."""
-        alpha = np.array([0.0, 0.0, 1.0]) - slope * np.array([across, -across])
-        alpha[1, 2] += gap
-        return bend_between(0, 1, moments[0], moments[1], touching, alpha, rays, blunt)
-
-    assert bent(0.1) == AWAY
-    assert bent(-0.1) == TOWARDS
-    assert bent(0.1, gap=0.1) == STRAIGHT  # they do not meet there
-    assert bent(0.4) == STRAIGHT  # an edge of a box
 
 
 def test_the_normals_of_a_group_turn_between_its_regions_and_within_them(rng):
@@ -219,7 +261,7 @@ def test_a_neighbour_of_which_nothing_is_looked_at_says_nothing():
     sigma = np.array([1.0, 1e-3, 1e-3])
     planes = Planes(np.zeros((2, 3)), np.zeros(2), np.ones(2), np.ones(2), np.ones(1))
     found = continues(region, means, 0, 1, moments, planes, sigma, box, block_buffer())
-    assert found == (-1.0, 0.0, 0.0)
+    assert found == (-1.0, 0.0, 0.0, np.inf, np.inf)
 
 
 @pytest.mark.parametrize("lying", [False, True])
@@ -235,7 +277,7 @@ def test_a_neighbour_is_looked_at_as_far_away_as_a_region_is_wide(lying):
     moments = 16.0 * np.array([[40.0], [1024.0 - 40.0]]) * [1.0, 0.0, 0.0, 1.0, 0.1, 0.0, 0.0, 0.1, 0.0, 1.0]
     planes = Planes(np.zeros((2, 3)), np.zeros(2), np.ones(2), np.ones(2), np.ones(1))
     sigma = np.array([10.0, *[1e-3] * 3])
-    _, _, covered = continues(region, means, 0, 1, moments, planes, sigma, box, block_buffer())
+    _, _, covered, _, _ = continues(region, means, 0, 1, moments, planes, sigma, box, block_buffer())
     assert covered == pytest.approx((28 * 12 - 40) / (1024 - 40))
 
 

@@ -33,8 +33,7 @@ from ..model.quadrics import (
 )
 from ..model.records import Planes, as_regions, as_view
 from .creases import main_bend, two_planes
-from .facets import find_faceted
-from .occluded import gap_between, may_cross
+from .facets import are_facets, mark_round
 
 # Cut in two anywhere, an arc's parts turn within themselves by 1/√12 of their angles, root mean square, and their
 # normals are half of both apart: so the two turns make 1/√3 of the angle between them, and none for faces of an edge.
@@ -42,8 +41,6 @@ BENT_SHARE = 0.5 / math.sqrt(3.0)
 # Blocks across a region that it takes to tell its own shape, and to tell that it goes on beyond its edge.
 FEWEST_ACROSS = 3
 FEWEST_BESIDE = 2
-# Planes that meet at an angle of less than this times that of curved surfaces may be facets.
-FACETS_MEET = 2.5
 # Pixels over which a sensor does not bend planes yet, and what, root mean square, normals of planes turn by there.
 SMALL, SLIGHTLY = 1024, math.radians(2.0)
 
@@ -130,6 +127,8 @@ def continues(region, means, a, b, region_moments, planes, sigma, box, buffer):
         0 where no block of one of the two is looked at.
     covered : float
         The share of ``b``'s pixels that are looked at.
+    flat, rest : float
+        What two planes leave of the mean squared residual, and what one quadric does: in variances of a pixel.
     """
     alpha, slope_variance, _, stretch, _ = planes
     m = region_moments[a]
@@ -148,13 +147,14 @@ def continues(region, means, a, b, region_moments, planes, sigma, box, buffer):
     pixels_b = add_blocks(region, means, b, box, alpha[a], deviation, window, step, centre, scale, buffer, products_b)
     covered = pixels_b * step * step / region_moments[b, 0]
     if pixels_a == 0.0 or pixels_b == 0.0:
-        return -1.0, 0.0, covered
+        return -1.0, 0.0, covered, math.inf, math.inf
     for i in range(TERMS + 1):
         for j in range(i, TERMS + 1):
             joint[i, j] = products_a[i, j] + products_b[i, j]
     two = eliminate(products_a, 0, PLANE_TERMS) + eliminate(products_b, 0, PLANE_TERMS)
     bend = (eliminate(joint, 0, PLANE_TERMS) - two) * step * step
-    return (two - eliminate(joint, PLANE_TERMS, TERMS)) * step * step, bend, covered
+    quadric, pixels = eliminate(joint, PLANE_TERMS, TERMS), pixels_a + pixels_b
+    return (two - quadric) * step * step, bend, covered, two / pixels, quadric / pixels
 
 
 @kernel(inline="compiled")
@@ -164,52 +164,14 @@ def turns_as_an_arc(bending, a, b, angle):
 
 
 @kernel()
-def unite_behind(region, rays, pyramid, means, region_moments, planes, sigma, rules, box, bending, parent, bent):
-    """Unite the regions that are one arc behind something thin in front of them.
-
-    ``parent`` (N,) and ``bent`` (N,) bool are changed; the other arguments are those of `find_curved` and `find_turns`.
-    """
-    alpha, regions = planes.alpha, len(parent)
-    where, buffer = np.empty(3), block_buffer()
-    for a in range(regions):
-        if region_moments[a, 0] < SMALL or breadth(box[a]) < FEWEST_ACROSS or not bending[a] > 0.0:
-            continue
-        variance = about_plane(sensor_variance(region_moments[a, 3] / region_moments[a, 0], sigma), planes, a)
-        for b in range(regions):
-            if b == a or region_moments[b, 0] < region_moments[a, 0] or not bending[b] > 0.0:
-                continue
-            if breadth(box[b]) < FEWEST_ACROSS or not (may_cross(box, a, b, 0) or may_cross(box, a, b, 1)):
-                continue
-            angle = angle_between(alpha[a], alpha[b])
-            if not (angle > SLIGHTLY and turns_as_an_arc(bending, a, b, angle)):
-                continue
-            if root_of(parent, a) == root_of(parent, b):
-                continue
-            beyond = rules.fit_deviations * math.sqrt(variance)
-            if not (
-                gap_between(region, rays, pyramid, alpha, a, b, box, 0, beyond, where)
-                or gap_between(region, rays, pyramid, alpha, a, b, box, 1, beyond, where)
-            ):
-                continue
-            jump = jump_at(alpha, a, b, where)
-            if not jump * jump < rules.reach_deviations * rules.reach_deviations * variance:
-                continue
-            better, bend, _ = continues(region, means, a, b, region_moments, planes, sigma, box, buffer)
-            if better > max(MARGIN * bend, rules.joint_variances * planes.waviness_square[a]):
-                unite(parent, a, b)
-                bent[root_of(parent, a)] = True
-
-
-@kernel()
-def find_curved(view, regions, planes, contacts, count, curved, deviation):
+def find_curved(view, regions, planes, contacts, count, is_exact, curved, deviation):
     """Mark the regions that are part of a curved surface.
 
     Neighbours within ``reach_deviations`` that one quadric fits better than two planes, by ``joint_variances``,
-    and that turn within themselves as parts of an arc do, form groups; so do such regions on both sides of something
-    thin in front. A group is curved if its normals turn by more than ``curved_degrees``, root mean square: if by less,
-    it is the sensor that bends a plane. Of small regions it is not: those with such a neighbour are curved if they turn
-    by more than SLIGHTLY. Also curved are those of `find_curled`, the groups of `facets.find_faceted`, and smaller
-    neighbours as which a curve goes on.
+    and that turn within themselves as parts of an arc do, form groups. A group is curved if its normals turn by more
+    than ``curved_degrees``, root mean square: if by less, it is the sensor that bends a plane. Of small regions it is
+    not: those with such a neighbour are curved if they turn by more than SLIGHTLY. Also curved are those of
+    `find_curled`, the groups of `facets.mark_round`, and smaller neighbours as which a curve goes on.
 
     Parameters
     ----------
@@ -218,12 +180,14 @@ def find_curved(view, regions, planes, contacts, count, curved, deviation):
     planes : Planes
     contacts, count
         From `contacts.neighbours`; overwritten.
+    is_exact : bool
+        Whether the frame's noise is no larger than deviations of surfaces from planes, as in a rendering.
     curved : (N,) bool, written
     deviation : (N,) float64, written
         Standard deviation of a pixel about the plane of each region.
     """
     view, regions, planes = as_view(view), as_regions(regions), Planes(*planes)
-    _, rays, pyramid, noise, rules, _ = view
+    _, _, pyramid, noise, rules, _ = view
     region, region_moments, alpha, sigma = regions.block, regions.moments, planes.alpha, noise.sigma
     deviations(region_moments, planes, sigma, deviation)
     pairs, where, _ = contacts
@@ -240,8 +204,8 @@ def find_curved(view, regions, planes, contacts, count, curved, deviation):
     turned, bending = np.empty(many), np.empty(many)
     bent, goes_on = np.empty(many, np.bool_), np.zeros(many, np.bool_)
     find_turns(region, means, region_moments, planes, sigma, rules, box, turned, bending, bent)
-    find_faceted(region_moments, alpha, turned, sharp, FACETS_MEET * sharp, rays, contacts, count, curved)
-    parent, buffer = np.arange(many), block_buffer()
+    curved[:] = False
+    parent, facets, buffer = np.arange(many), np.arange(many), block_buffer()
     smooth = 0
     for i in range(count):
         a, b = np.int64(pairs[i, 0]), np.int64(pairs[i, 1])
@@ -252,7 +216,9 @@ def find_curved(view, regions, planes, contacts, count, curved, deviation):
         variance = about_plane(sensor_variance(q, sigma), planes, a)
         if not jump * jump < rules.reach_deviations * rules.reach_deviations * variance:
             continue
-        better, bend, covered = continues(region, means, a, b, region_moments, planes, sigma, box, buffer)
+        better, bend, covered, flat, rest = continues(region, means, a, b, region_moments, planes, sigma, box, buffer)
+        if are_facets(better, bend, covered, flat, rest, is_exact):
+            unite(facets, a, b)
         if not better > -MARGIN * bend:
             continue
         pairs[smooth, 0], pairs[smooth, 1] = a, b
@@ -262,9 +228,9 @@ def find_curved(view, regions, planes, contacts, count, curved, deviation):
         if enough and turns_as_an_arc(bending, a, b, angle_between(alpha[a], alpha[b])):
             unite(parent, a, b)
             bent[root_of(parent, a)] = goes_on[a] = goes_on[b] = True
-    unite_behind(region, rays, pyramid, means, region_moments, planes, sigma, rules, box, bending, parent, bent)
     turn_square, pixels, members = np.empty(many), np.empty(many), np.empty(many, np.int64)
     group_turns(parent, region_moments[:, 0], alpha, turned, turn_square, pixels, members)
+    mark_round(facets, region_moments, alpha, turned, sharp, curved)
     for a in range(many):
         root = root_of(parent, a)
         curved[a] |= bent[root] and turn_square[root] > sharp * sharp
