@@ -41,6 +41,13 @@ def make_holes(depth, kind, rng):
     return depth
 
 
+# A number is read in the same way whichever the lens, so not every pair is compiled.
+DTYPES_BY_LENS = [
+    *(("pinhole", dtype) for dtype in ("uint16", "float32", "float64")),
+    *((lens, "uint16") for lens in DISTORTIONS if lens != "pinhole"),
+]
+
+
 def as_dtype(metres, dtype):
     return np.round(metres * 1000).astype(dtype) if dtype == "uint16" else metres.astype(dtype)
 

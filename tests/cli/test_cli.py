@@ -723,14 +723,11 @@ def test_fit_on_real_frames(tmp_path, monkeypatch, capsys, real_frame):
     depth, camera = real_frame
     images.write_png("depth.png", depth)
     camera.save("camera.json")
-    command = ["fit", "depth.png", "--camera", "camera.json", "--out", "planes.npz", "--figure", "planes.png"]
-    assert cli.main(command) == 0
+    assert cli.main(["fit", "depth.png", "--camera", "camera.json", "--out", "planes.npz"]) == 0
     assert "warning" not in capsys.readouterr().err
     tiles = rp.TilePlanes.load("planes.npz")
     assert np.array_equal(tiles.status, rp.fit_tiles(depth, camera).status)
     assert (tiles.status == rp.TileStatus.OK).mean() > 0.5
-    with Image.open("planes.png") as picture:
-        assert picture.format == "PNG"
 
 
 def test_noise_refuses_frames_of_several_cameras(tmp_path, capsys):
