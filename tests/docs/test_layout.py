@@ -26,3 +26,9 @@ def test_a_folder_has_few_files_and_says_what_it_is_for(folder):
     files = [path.name for path in folder.glob("*.py") if path.name != "__init__.py"]
     assert len(files) <= 13, sorted(files)
     assert ast.get_docstring(ast.parse((folder / "__init__.py").read_text()))
+
+
+def test_no_two_files_of_tests_have_one_name():
+    """Or pytest would take one for the other, where both are collected."""
+    names = [path.name for path in (ROOT / "tests").rglob("test_*.py")]
+    assert sorted(names) == sorted(set(names))
