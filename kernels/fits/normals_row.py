@@ -11,6 +11,9 @@ from .._jit.kernel import kernel
 from ..moments.sliding_window import PITCH
 from ..solvers.methods import COLLINEAR
 
+# 1/Z of the plane at the pixel, over its mean in the window: below, rounding may decide whether it is in front at all.
+IN_FRONT = 1e-9
+
 
 @kernel(reduction=True, arrays=False)
 def normals_row(all_sums, valid, needed, focal, tan_x, tan_y, normals):
@@ -45,12 +48,13 @@ def normals_row(all_sums, valid, needed, focal, tan_x, tan_y, normals):
         determinant = c_xx * c_yy - c_xy * c_xy
         slope_x = c_yy * c_xq - c_xy * c_yq
         slope_y = c_xx * c_yq - c_xy * c_xq
-        centre = determinant * q - slope_x * x - slope_y * y
+        mean = determinant * q
+        centre = mean - slope_x * x - slope_y * y
         a = fx * (n * slope_x)
         b = fy * (n * slope_y)
         c = centre - a * tan_x[i] - b * tan_y
         enough = (valid_sums[i] >= needed[i]) & (valid[i] > np.float32(0.0))
-        there = enough & (determinant > 0.0) & (centre > 0.0)
+        there = enough & (determinant > 0.0) & (centre > IN_FRONT * abs(mean))
         inverse_norm = -1.0 / np.sqrt(a * a + b * b + c * c)  # NumPy's: in plain Python 1.0 / 0.0 is an error
         inverse_norm = inverse_norm if there else math.nan
         normals[3 * i] = a * inverse_norm
@@ -115,7 +119,7 @@ def surface_row(all_sums, wanted, needed, focal, pixel, rays, results):
         b = fy * slope_y
         c = at_pixel - a * tan_x[i] - b * tan_y[i]
         enough = (n >= needed[i]) & (wanted[i] > np.float32(0.0))
-        there = enough & (determinant > COLLINEAR * trace * trace) & (at_pixel > 0.0)
+        there = enough & (determinant > COLLINEAR * trace * trace) & (at_pixel > IN_FRONT * abs(q))
         nan = 0.0 if there else math.nan
         inverse_norm = nan - 1.0 / math.sqrt(a * a + b * b + c * c)
         normals[3 * i] = a * inverse_norm
