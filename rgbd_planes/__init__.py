@@ -70,6 +70,7 @@ _MODULES = {
     "metrics": "evaluation.metrics",
     "noise": "noise",
     "presets": "camera.presets",
+    "primitive_export": "export.primitives",
     "recording": "export.rerun",
     "scenes": "evaluation.scenes",
     "segmentation_export": "export.segments",
@@ -98,6 +99,7 @@ if TYPE_CHECKING:
     from rgbd_planes.egomotion.pose import CameraPose as CameraPose
     from rgbd_planes.evaluation import metrics as metrics
     from rgbd_planes.evaluation import scenes as scenes
+    from rgbd_planes.export import primitives as _primitives
     from rgbd_planes.export import rerun as _recording
     from rgbd_planes.export import segments as _segments
     from rgbd_planes.export.live import LiveView as LiveView
@@ -135,7 +137,7 @@ if TYPE_CHECKING:
     from rgbd_planes.sequences import open_sequence as open_sequence
     from rgbd_planes.uncertainty.points import measurement_noise as measurement_noise
 
-    recording, segmentation_export = _recording, _segments
+    primitive_export, recording, segmentation_export = _primitives, _recording, _segments
 
 
 def __getattr__(name: str) -> Any:

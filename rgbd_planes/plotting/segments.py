@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes._core.arrays import Floats
+from rgbd_planes._core.status import Primitive, Reason
 from rgbd_planes.camera.depth_frame import as_depth_frame
 from rgbd_planes.camera.pixel_pitch import ray_changes
 from rgbd_planes.plotting.colours import NO_PLANE, label_colours
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from rgbd_planes.camera.camera import Camera
-    from rgbd_planes.plotting.protocols import SegmentedFrame
+    from rgbd_planes.plotting.protocols import NamedSurfaces, SegmentedFrame
 
 
 _NOT_MEASURED = (1.0, 1.0, 1.0)
@@ -27,23 +29,36 @@ _FONT = 7  # points
 
 
 def label_image(
-    segmentation: SegmentedFrame, depth: ArrayLike | None = None, ids: NDArray[np.int32] | None = None
+    segmentation: SegmentedFrame,
+    depth: ArrayLike | None = None,
+    ids: NDArray[np.int32] | None = None,
+    primitives: NamedSurfaces | None = None,
 ) -> Floats:
     """(H, W, 3) float64: each pixel in the colour of its plane, light and dark following the surface.
 
     Dark grey is measured but on no plane, white is missing. Without ``depth`` there is no relief; with ``ids`` a plane
-    has the colour of its id instead of its label.
+    has the colour of its id instead of its label. Spheres and cylinders of ``primitives`` have colours after those.
     """
-    from rgbd_planes._core.status import Reason
-
-    colours = label_colours(len(segmentation)) if ids is None else label_colours(int(ids.max(initial=0)))[ids - 1]
-    palette = np.vstack([[NO_PLANE], colours])
-    image = palette[segmentation.labels]
+    count = len(segmentation) if ids is None else int(ids.max(initial=0))
+    several = 0 if primitives is None else len(primitives)
+    colours = label_colours(count + several)
+    planes = colours[:count] if ids is None else colours[ids - 1]
+    palette = np.vstack([[NO_PLANE], planes, colours[count:]])
+    image = palette[_shown(segmentation, primitives)]
     if depth is not None:
         frame = as_depth_frame(depth, segmentation.camera)
         image = image * _relief(frame.inverse_depth, segmentation.camera, segmentation.sigma)[..., None]
     image[segmentation.reason == Reason.MISSING] = _NOT_MEASURED
     return np.asarray(np.clip(image, 0.0, 1.0))
+
+
+def _shown(segmentation: SegmentedFrame, primitives: NamedSurfaces | None) -> NDArray[np.int32]:
+    """(H, W) int32: labels of planes, 1..N, and after them of spheres and cylinders, where there is no plane."""
+    if primitives is None:
+        return segmentation.labels
+    number = np.where(primitives.kind >= Primitive.SPHERE, np.arange(len(primitives)) + len(segmentation) + 1, 0)
+    others = np.append(0, number)[primitives.labels]
+    return np.where(segmentation.labels > 0, segmentation.labels, others).astype(np.int32)
 
 
 def _relief(inverse_depth: Floats, camera: Camera, sigma: float) -> Floats:
@@ -79,6 +94,7 @@ def plot_segments(
     depth: ArrayLike | None = None,
     figure: Figure | None = None,
     ids: NDArray[np.int32] | None = None,
+    primitives: NamedSurfaces | None = None,
 ) -> Figure:
     """Draw a segmentation.
 
@@ -91,6 +107,8 @@ def plot_segments(
         Drawn into; a new one by default, which `savefig` writes and a notebook shows.
     ids : (N,) int32, optional
         Numbers from 1 by which planes are coloured and called, instead of their labels.
+    primitives : PrimitiveFits, optional
+        Of labels of the same frame. Spheres and cylinders get colours, too, and their radii are written on them.
 
     Returns
     -------
@@ -99,12 +117,17 @@ def plot_segments(
     from rgbd_planes.plotting.figures import NotebookFigure, panel_height
 
     check_figure(figure)
+    if primitives is not None:
+        check_primitives(primitives, segmentation)
     if figure is None:
         height = max(panel_height(8.0, segmentation.camera) + 0.4, 1.1)  # room for the text, however low the frame
         figure = NotebookFigure((8.0, height), layout="constrained")
     axes = figure.add_subplot()
-    axes.imshow(label_image(segmentation, depth, ids), interpolation="nearest")
-    _write_numbers(segmentation, axes, np.arange(len(segmentation)) + 1 if ids is None else ids)
+    axes.imshow(label_image(segmentation, depth, ids, primitives), interpolation="nearest")
+    texts = [str(number) for number in (range(1, len(segmentation) + 1) if ids is None else ids)]
+    if primitives is not None:
+        texts += map(_name, primitives.kind, primitives.radius, primitives.radius_std)
+    _write_texts(_shown(segmentation, primitives), texts, axes)
     axes.set_title(segmentation._summary)
     axes.set_xlabel("dark grey: on no plane     white: not measured", fontsize=9)
     axes.set_xticks([])
@@ -112,27 +135,44 @@ def plot_segments(
     return figure
 
 
-def _write_numbers(segmentation: SegmentedFrame, axes: Axes, numbers: NDArray[np.integer]) -> None:
-    """Write each large plane's number where most of the plane is around it, if no larger plane's is there."""
-    labels = segmentation.labels
+def check_primitives(primitives: NamedSurfaces, segmentation: SegmentedFrame) -> None:
+    """Raise an error unless these are primitives of a frame of the same size."""
+    if not hasattr(primitives, "radius_std"):
+        raise TypeError(f"expected primitives as PrimitiveFits, got {type(primitives).__name__}")
+    if primitives.labels.shape != segmentation.labels.shape:
+        raise ValueError(
+            f"expected primitives of a frame of shape {segmentation.labels.shape}, got {primitives.labels.shape}"
+        )
+
+
+def _name(kind: int, radius: float, std: float) -> str:
+    """What is written on a sphere or a cylinder: its radius and how far noise may have moved it."""
+    digits = max(0, 1 - math.floor(math.log10(1e3 * std))) if std > 0.0 else 1
+    return f"{Primitive(kind).name.lower()}\n{1e3 * radius:.{digits}f} ± {1e3 * std:.{digits}f} mm"
+
+
+def _write_texts(labels: NDArray[np.int32], texts: list[str], axes: Axes) -> None:
+    """Write each large label's text where most of it is around, if no larger one's is there."""
+    from scipy.ndimage import find_objects
+
     least = _NUMBERED * labels.size / (640 * 480)
     points = 72.0 / axes.figure.dpi * np.array(axes.figure.bbox.size)
     high = _FONT * float(np.max(labels.shape[::-1] / points))  # height of the font in pixels of the frame
-    boxes = segmentation._boxes
-    sizes = np.bincount(labels.ravel(), minlength=len(segmentation) + 1)[1:]  # of what is shown
-    written: list[tuple[float, float, float]] = []
+    boxes = find_objects(labels, max_label=len(texts))
+    sizes = np.bincount(labels.ravel(), minlength=len(texts) + 1)[1:]  # of what is shown
+    written: list[tuple[float, float, float, float]] = []
     for i in np.argsort(-sizes, kind="stable"):
         if sizes[i] < least:
             break
-        box = boxes[i]
+        box, lines = boxes[i], texts[i].split("\n")
         row, column = _middle(labels[box] == i + 1)
-        x, y, text = float(box[1].start + column), float(box[0].start + row), str(numbers[i])
-        half = (0.32 * len(text) + 0.3) * high
-        if any(abs(x - at) < half + wide and abs(y - down) < 1.4 * high for at, down, wide in written):
+        x, y = float(box[1].start + column), float(box[0].start + row)
+        half, tall = (0.32 * max(map(len, lines)) + 0.3) * high, 0.7 * len(lines) * high
+        if any(abs(x - at) < half + wide and abs(y - down) < tall + above for at, down, wide, above in written):
             continue
-        written.append((x, y, half))
+        written.append((x, y, half, tall))
         axes.text(
-            x, y, text, ha="center", va="center", fontsize=_FONT, color="black",
+            x, y, texts[i], ha="center", va="center", fontsize=_FONT, color="black",
             bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "alpha": 0.6, "linewidth": 0},
         )  # fmt: skip
 

@@ -18,6 +18,8 @@ from rgbd_planes.fitting.tile_grid import common_labels
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from rgbd_planes.plotting.protocols import NamedSurfaces
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Segmentation(Savable):
@@ -218,7 +220,9 @@ class Segmentation(Savable):
         check_covariances(values["alpha_covariance"])
         return {**values, "sigma": float(values["sigma"])}
 
-    def plot(self, depth: ArrayLike | None = None, figure: Figure | None = None) -> Figure:
+    def plot(
+        self, depth: ArrayLike | None = None, figure: Figure | None = None, *, primitives: NamedSurfaces | None = None
+    ) -> Figure:
         """Draw the planes in colours over the relief of the depth.
 
         Parameters
@@ -227,10 +231,18 @@ class Segmentation(Savable):
             The frame that was segmented, for its relief.
         figure : matplotlib Figure, optional
             Drawn into; a new one by default.
+        primitives : PrimitiveFits, optional
+            What `fit_primitives` gave for ``curved_labels``. Spheres and cylinders get colours, too, and on them stands
+            the radius ± its standard deviation in millimetres.
+
+        Raises
+        ------
+        TypeError, ValueError
+            The figure is none, or the primitives are no `PrimitiveFits` or of a frame of another size.
         """
         from rgbd_planes.plotting.segments import plot_segments
 
-        return plot_segments(self, depth, figure)
+        return plot_segments(self, depth, figure, primitives=primitives)
 
 
 def boxes_of(labels: NDArray[np.int32], count: int) -> list[tuple[slice, slice]]:
