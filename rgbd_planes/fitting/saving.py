@@ -23,7 +23,7 @@ from rgbd_planes.camera.camera import Camera
 from rgbd_planes.fitting.methods import METHODS
 from rgbd_planes.fitting.results import allocate
 from rgbd_planes.kernels.statistics.pixel_runs import PixelRuns
-from rgbd_planes.kernels.statistics.tiles.block import COLUMNS
+from rgbd_planes.kernels.statistics.tiles.block import COLUMNS, MEAN, SLOPES
 from rgbd_planes.noise.model import NoiseModel
 from rgbd_planes.uncertainty.pixel_errors import KeepsPixels, Pixels
 
@@ -213,6 +213,12 @@ def check_covariances(covariances: NDArray[np.float64]) -> None:
         raise ValueError("covariances that are infinite, negative or not symmetric")
 
 
+def check_variances(values: NDArray[np.float64]) -> None:
+    """Raise a ValueError if any of (N, K) variances, or sums of squares, is more negative than rounding makes it."""
+    if (values < -1e-6 * np.nanmax(values, axis=0, initial=0.0)).any():
+        raise ValueError("negative variances")
+
+
 def check_planes(planes: NDArray[np.float64], alpha: NDArray[np.float64]) -> None:
     """Raise a ValueError unless (N, 4) planes are finite, with unit normals and d > 0, and (N, 3) alpha is -n / d."""
     normal, d = planes[:, :3], planes[:, 3:]
@@ -234,6 +240,8 @@ def check_fits(values: Values, shape: tuple[int, ...], most: npt.ArrayLike) -> N
         raise ValueError("an invalid status or number of pixels")
     fitted = np.isin(status, (TileStatus.OK, TileStatus.ROUGH))
     check_planes(values["planes"][fitted], values["alpha"][fitted])
+    sums = np.moveaxis(values["_moments"], len(shape[:-2]), -1)[fitted]
+    check_variances(sums[:, [4, 7, 9]])  # Σuu, Σvv, Σww
 
 
 def check_label_image(labels: npt.NDArray[Any], shape: tuple[int, ...] | None, count: int) -> None:
@@ -244,6 +252,8 @@ def check_label_image(labels: npt.NDArray[Any], shape: tuple[int, ...] | None, c
         raise ValueError("labels of other planes")
 
 
+# Columns of variances: along the ray, of rounding, squared, and weighted by u² and v²; of a plane's errors.
+_VARIANCES = {"error_sums": [0, 1, 2, 5, 7], "shared": [SLOPES, SLOPES + 2, MEAN]}
 _RUNS = {name: f"run_{name}" for name in PixelRuns._fields}
 
 
@@ -266,6 +276,10 @@ def _pixels_in(about: Mapping[str, Any], arrays: Arrays, camera: Camera, count: 
     needed = ("footprint", "error_sums") if "shared" in arrays else ("footprint",)
     found = {name: arrays[name] for name in expected if name in needed or name in arrays}
     check_alike(found, {name: expected[name] for name in found})
+    for name, columns in _VARIANCES.items():
+        if name in found:
+            known = np.isfinite(found[name]).all(axis=1)  # of parts without a plane they are not
+            check_variances(found[name][known][:, columns])
     noise = camera.noise if about["pixels_have_noise"] else None
     runs = _runs_in(arrays, camera, count)
     return Pixels(found["footprint"], noise, found.get("error_sums"), found.get("shared"), runs)

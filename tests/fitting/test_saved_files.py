@@ -59,3 +59,43 @@ def test_a_loaded_segmentation_labels_the_frame():
     found = rp.Segmentation.load(FOLDER / "segments.npz")
     assert found.labels.shape == (48, 64)
     assert len(found) == found.labels.max() >= 2
+
+
+@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("row", [4, 7, 9])
+def test_sums_of_squares_are_not_negative(name, row, tmp_path):
+    """Or covariances would have negative variances."""
+    with np.load(FOLDER / f"{name}.npz") as file:
+        arrays = dict(file)
+    cells = min(len(KINDS[name][1]), 2)
+    arrays["moments"][(..., row, *[slice(None)] * cells)] *= -1.0
+    np.savez(tmp_path / "altered.npz", **arrays)
+    with pytest.raises(ValueError, match="negative variances"):
+        KINDS[name][0].load(tmp_path / "altered.npz")
+
+
+@pytest.mark.parametrize("name", ["error_sums", "shared"])
+def test_variances_of_labels_are_not_negative(name, tmp_path):
+    rng = np.random.default_rng(0)
+    camera = rp.Camera(64, 48, 60.0, 60.0, 31.5, 23.5, noise=rp.noise.NoiseModel((1e-3,), correlation=((0.5, 2.0),)))
+    labels = np.ones(camera.shape, np.int32)
+    fits = rp.fit_labels(2.0 + 0.002 * rng.normal(size=camera.shape), camera, labels)
+    fits.save(tmp_path / "labels.npz")
+    with np.load(tmp_path / "labels.npz") as file:
+        arrays = dict(file)
+    arrays[name][:, 0] *= -1.0
+    np.savez(tmp_path / "labels.npz", **arrays)
+    with pytest.raises(ValueError, match="negative variances"):
+        rp.LabelPlanes.load(tmp_path / "labels.npz")
+
+
+def test_sums_of_curved_tiles_are_not_negative(tmp_path):
+    camera = rp.Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
+    rp.fit_surfaces(np.full(camera.shape, 2.0), camera, 16).save(tmp_path / "bent.npz")
+    rp.TileSurfaces.load(tmp_path / "bent.npz")
+    with np.load(tmp_path / "bent.npz") as file:
+        arrays = dict(file)
+    arrays["moments"][3] *= -1.0
+    np.savez(tmp_path / "bent.npz", **arrays)
+    with pytest.raises(ValueError, match="negative variances"):
+        rp.TileSurfaces.load(tmp_path / "bent.npz")

@@ -4,8 +4,11 @@ import numpy as np
 import numpy.typing as npt
 
 from rgbd_planes._core.status import TileStatus
-from rgbd_planes.fitting.saving import Values, check_alike
+from rgbd_planes.fitting.saving import Values, check_alike, check_variances
 from rgbd_planes.fitting.surfaces.results import allocate_surfaces
+from rgbd_planes.kernels.moments.surface_tiles import QQ, UU, UUUU, UUVV, VV, VVVV
+
+SQUARES = [UU, VV, UUUU, UUVV, VVVV, QQ]
 
 
 def check_surfaces(values: Values, shape: tuple[int, ...], most: npt.ArrayLike) -> None:
@@ -18,6 +21,8 @@ def check_surfaces(values: Values, shape: tuple[int, ...], most: npt.ArrayLike) 
     count, status = values["valid_count"], values["status"]
     if status.max(initial=0) > max(TileStatus) or ((count < 0) | (count > most)).any():
         raise ValueError("an invalid status or number of pixels")
-    coefficients = values["coefficients"][np.isin(status, (TileStatus.OK, TileStatus.ROUGH))]
+    fitted = np.isin(status, (TileStatus.OK, TileStatus.ROUGH))
+    check_variances(np.moveaxis(values["_moments"], len(shape[:-cells]), -1)[fitted][:, SQUARES])
+    coefficients = values["coefficients"][fitted]
     if not (np.isfinite(coefficients).all() and (coefficients[..., 0] > 0.0).all()):
         raise ValueError("surfaces without coefficients, or behind the camera")
