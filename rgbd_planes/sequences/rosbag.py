@@ -27,7 +27,7 @@ from rgbd_planes.camera.camera import Camera
 from rgbd_planes.sequences.contents import rvl
 from rgbd_planes.sequences.frames import FrameEntry, FrameSequence, kept_open
 from rgbd_planes.sequences.images import check_png_size
-from rgbd_planes.sequences.unpacking import check_chunk, unpacked
+from rgbd_planes.sequences.unpacking import check_chunk, check_packed_file, unpacked
 
 _BAG = "a ROS bag"
 _IMAGES = "sensor_msgs/msg/Image"
@@ -170,6 +170,8 @@ class _OpenBag:
             storage.metadata = storage.metadata._replace(compression_mode=None)
             self._unpack = partial(unpacked, decompressor=zstd.ZstdDecompressor)
         for part in getattr(storage, "storages", [storage]):
+            if storage.metadata.compression_mode == "file" and Path(part.path).suffix == ".db3":
+                _check_database(Path(part.path))
             for chunk in getattr(part, "chunks", []):  # an MCAP file's
                 part.bio.seek(chunk.chunk_start_offset + _BEFORE_CHUNK + len(chunk.compression))
                 check_chunk(part.bio.read(chunk.compressed_size) if chunk.compression else b"", chunk.compression)
@@ -299,12 +301,21 @@ def _check_files(path: Path) -> None:
     if path.is_dir() and existing_file(about).stat().st_size > _LONGEST_ABOUT:
         raise ValueError(f"{about.name} of more than {_LONGEST_ABOUT >> 20} MiB")
     for file in path.iterdir() if path.is_dir() else [path]:
-        if file.suffix == ".db3" and existing_file(file).stat().st_size:
-            with closing(sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro&immutable=1", uri=True)) as database:
-                for kind, name in database.execute("SELECT type, name FROM sqlite_master"):
-                    columns = database.execute("SELECT hidden FROM pragma_table_xinfo(?)", (name,))
-                    if kind in ("view", "trigger") or (kind == "table" and any(hidden for (hidden,) in columns)):
-                        raise ValueError(f"a database whose {name} is computed, not stored")
+        if file.suffix == ".db3":
+            _check_database(file)
+        elif file.suffix == ".zstd":  # which the library unpacks to the disk, whatever comes out
+            check_packed_file(existing_file(file))
+
+
+def _check_database(file: Path) -> None:
+    """Refuse a database that computes what it does not store."""
+    if not existing_file(file).stat().st_size:
+        return
+    with closing(sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro&immutable=1", uri=True)) as database:
+        for kind, name in database.execute("SELECT type, name FROM sqlite_master"):
+            columns = database.execute("SELECT hidden FROM pragma_table_xinfo(?)", (name,))
+            if kind in ("view", "trigger") or (kind == "table" and any(hidden for (hidden,) in columns)):
+                raise ValueError(f"a database whose {name} is computed, not stored")
 
 
 _open = kept_open()

@@ -1,10 +1,19 @@
 """Compressed data from elsewhere is unpacked up to a limit: a few bytes may stand for all the memory there is."""
 
+import mmap
+import shutil
+import tempfile
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
+
+from rgbd_planes._core.text import shown
 
 MOST_UNPACKED = 2**28
 """Bytes of one piece, as a chunk of a bag: some frames of the largest cameras."""
+
+MOST_RATIO = 64
+"""Of a whole file: depth is compressed to a tenth at most."""
 
 _ZSTD, _ZSTD_SKIPPED = 0xFD2FB528, 0x184D2A50  # how frames begin; of the second kind the last four bits differ
 _ZSTD_BLOCK = 2**17  # bytes that a block makes at most
@@ -52,7 +61,22 @@ def check_chunk(data: bytes, compression: str) -> None:
         raise ValueError(f"more than {MOST_UNPACKED >> 20} MiB in one piece")
 
 
-def _longest_zstd(data: bytes) -> int:
+def check_packed_file(path: Path) -> None:
+    """Raise a ValueError if a file of Zstandard may be far longer once it is unpacked, or than there is room for."""
+    packed = path.stat().st_size
+    if not packed:
+        return
+    with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        most = _longest_zstd(data)
+    free = shutil.disk_usage(tempfile.gettempdir()).free
+    if most > max(MOST_UNPACKED, MOST_RATIO * packed) or most > free:
+        raise ValueError(
+            f"{shown(path.name)} of {packed} bytes, which may be up to {most >> 20} MiB once unpacked; "
+            f"there is room for {free >> 20} MiB"
+        )
+
+
+def _longest_zstd(data: bytes | mmap.mmap) -> int:
     """How long the content of frames of Zstandard can be (RFC 8878, section 3.1), without unpacking it."""
     position = most = 0
     while position + 5 < len(data):

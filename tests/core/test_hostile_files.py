@@ -13,6 +13,7 @@ import zipfile
 import zlib
 from contextlib import closing, suppress
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -250,6 +251,47 @@ def test_chunks_of_bags_are_unpacked_up_to_a_limit(tmp_path):
         check_chunk(zstd.compress(bytes(MOST_UNPACKED + 1)), "zstd")
     with pytest.raises(ValueError, match="more than 256 MiB"):
         check_chunk(300 * piece, "zstd")
+
+
+def packed_bag(path, harm=""):
+    """A ROS 2 bag whose file is compressed, as `ros2 bag record --compression-mode file` leaves it."""
+    zstd = pytest.importorskip("rosbags.rosbag2.reader").zstd
+    frame = np.random.default_rng(1).integers(0, 2**16, CAMERA.shape, np.uint16)
+    depth, _ = messages(type_store(path)[0], [frame])
+    write_bag(path, {"/depth": [(1, depth[0])]})
+    (file,) = path.glob("*.db3")
+    if harm:
+        with closing(sqlite3.connect(file)) as database:
+            database.execute(harm)
+            database.commit()
+    packed = file.with_name(file.name + ".zstd")
+    packed.write_bytes(zstd.compress(file.read_bytes()))
+    file.unlink()
+    about = (path / "metadata.yaml").read_text().replace(file.name, packed.name)
+    about = about.replace("compression_format: ''", "compression_format: zstd")
+    (path / "metadata.yaml").write_text(about.replace("compression_mode: ''", "compression_mode: file"))
+    return frame, packed, zstd
+
+
+def test_files_of_bags_are_unpacked_up_to_a_limit(tmp_path, monkeypatch):
+    pytest.importorskip("rosbags")
+    frame, packed, zstd = packed_bag(tmp_path / "whole")
+    np.testing.assert_array_equal(sequences.rosbag(tmp_path / "whole", CAMERA)[0].depth, frame)
+    whole = packed.read_bytes()
+    packed.write_bytes(whole + 5 * zstd.compress(bytes(2**26)))
+    with pytest.raises(ValueError, match=r"may be up to \d+ MiB once unpacked"):
+        sequences.rosbag(tmp_path / "whole", CAMERA)
+    packed.write_bytes(whole)
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: SimpleNamespace(free=1000))
+    with pytest.raises(ValueError, match="there is room for 0 MiB"):
+        sequences.rosbag(tmp_path / "whole", CAMERA)
+
+
+def test_a_compressed_database_that_computes_is_no_bag(tmp_path):
+    pytest.importorskip("rosbags")
+    packed_bag(tmp_path / "computed", "CREATE VIEW more AS SELECT 1")
+    with pytest.raises(ValueError, match="more is computed, not stored"):
+        sequences.rosbag(tmp_path / "computed", CAMERA)
 
 
 @pytest.mark.parametrize(
