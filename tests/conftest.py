@@ -41,8 +41,8 @@ def pytest_configure(config):
 QUICK = (
     "camera/test_camera", "camera/test_depth", "cli/test_progress", "core/test_checks",
     "docs/test_layout", "docs/test_packaging", "evaluation/test_metrics", "fitting/test_labels", "fitting/test_windows",
-    "kernels/test_solves", "noise/test_noise_models", "segmentation/test_segmentation_result", "sequences/test_images",
-    "uncertainty/test_comparing_planes", "uncertainty/test_point_noise",
+    "kernels/test_marked", "noise/test_noise_models", "segmentation/test_segmentation_result", "sequences/test_images",
+    "uncertainty/test_comparing_planes",
 )  # fmt: skip
 
 
