@@ -31,6 +31,7 @@ _NAMES = {
     "PlaneTracker": "segmentation.tracking",
     "Primitive": "_core.status",
     "PrimitiveFits": "segmentation.primitives.result",
+    "PrimitiveTracker": "segmentation.primitives.tracking",
     "Reason": "segmentation.result",
     "Segmentation": "segmentation.result",
     "SurfaceFitter": "fitting.surfaces.tiles",
@@ -38,6 +39,7 @@ _NAMES = {
     "TilePlanes": "fitting.tile_planes",
     "TileStatus": "fitting.results",
     "TileSurfaces": "fitting.surfaces.tile_surfaces",
+    "TrackedPrimitives": "segmentation.primitives.tracking",
     "TrackedSegmentation": "segmentation.tracking",
     "WindowPlanes": "fitting.windows",
     "WindowSurfaces": "fitting.surfaces.windows",
@@ -127,6 +129,8 @@ if TYPE_CHECKING:
     from rgbd_planes.segmentation.polygons import plane_polygons as plane_polygons
     from rgbd_planes.segmentation.primitives.fit import fit_primitives as fit_primitives
     from rgbd_planes.segmentation.primitives.result import PrimitiveFits as PrimitiveFits
+    from rgbd_planes.segmentation.primitives.tracking import PrimitiveTracker as PrimitiveTracker
+    from rgbd_planes.segmentation.primitives.tracking import TrackedPrimitives as TrackedPrimitives
     from rgbd_planes.segmentation.quadtree import segment_quadtree as segment_quadtree
     from rgbd_planes.segmentation.result import Segmentation as Segmentation
     from rgbd_planes.segmentation.segment import segment as segment
