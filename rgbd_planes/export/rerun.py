@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rgbd_planes._core.checks import shaped_array
+from rgbd_planes._core.checks import check_bool, shaped_array
 from rgbd_planes._core.files import write_beside
 from rgbd_planes._core.rotations import as_motion
 from rgbd_planes._core.user_warnings import warn_caller
@@ -22,12 +22,17 @@ from rgbd_planes.export.rerun_scene import (
     log_depth,
     log_labels,
     log_outlines,
+    log_primitives,
     rerun,
     set_time,
 )
 from rgbd_planes.export.tiles import polygons_of
 from rgbd_planes.fitting.tiles import TileFitter
 from rgbd_planes.plotting.colours import in_image, normal_colours
+from rgbd_planes.segmentation.primitives.fit import fit_primitives
+from rgbd_planes.segmentation.primitives.result import PrimitiveFits
+from rgbd_planes.segmentation.primitives.tracking import PrimitiveTracker
+from rgbd_planes.segmentation.result import Segmentation
 from rgbd_planes.segmentation.segment import MIN_SIZE, check_min_size, segment
 from rgbd_planes.segmentation.tracking import PlaneTracker
 from rgbd_planes.sequences.frames import FrameSequence, check_sequence
@@ -115,7 +120,12 @@ def record(
 
 
 def record_segments(
-    sequence: FrameSequence, path: str | os.PathLike[str], *, min_size: int = MIN_SIZE, poses: ArrayLike | None = None
+    sequence: FrameSequence,
+    path: str | os.PathLike[str],
+    *,
+    min_size: int = MIN_SIZE,
+    poses: ArrayLike | None = None,
+    primitives: bool = False,
 ) -> None:
     """Segment a sequence and write a recording that rerun shows; whole or not at all.
 
@@ -127,6 +137,8 @@ def record_segments(
         Pixels that a plane must have.
     poses : (N, 4, 4) array_like, optional
         Camera to world of each frame, as in `record`.
+    primitives : bool
+        Whether spheres and cylinders are fitted to curved surfaces, too.
 
     Raises
     ------
@@ -135,7 +147,7 @@ def record_segments(
     OSError
         It cannot be written there, or a frame cannot be read for a reason that would concern all frames.
     TypeError, ValueError
-        `min_size` cannot be used, or no frame can be read and segmented.
+        `min_size` or `primitives` cannot be used, or no frame can be read and segmented.
 
     Warns
     -----
@@ -149,21 +161,31 @@ def record_segments(
     - ``camera``: pinhole and depth image, in metres.
     - ``camera/planes``: the id of each pixel's plane, 0 for none. A frame of another size has new ids.
     - ``planes/outlines``: outlines and holes, in the colour of the plane's id.
+    - ``planes/primitives``: with `primitives`, the parts of spheres and cylinders that are seen, by their ids.
     - ``found``: the number of planes.
 
     Timelines: ``frame``, and ``time`` where the sequence has times.
     """
-    tracker = PlaneTracker()
+    tracker, round_ones = PlaneTracker(), PrimitiveTracker()
     colours = PlaneColours()
     with _recording(path) as (rr, stream):
         check_sequence(sequence)
         check_min_size(min_size)
         places = _Places(sequence, poses)
-        for index, frame, found in _each(sequence, lambda frame: segment(frame.depth, frame.camera, min_size=min_size)):
+        with_primitives = check_bool("primitives", primitives)
+
+        def fit(frame: Frame) -> tuple[Segmentation, PrimitiveFits | None]:
+            found = segment(frame.depth, frame.camera, min_size=min_size)
+            return found, fit_primitives(frame.depth, frame.camera, found.curved_labels) if with_primitives else None
+
+        for index, frame, (found, fits) in _each(sequence, fit):
+            motion = None if fits is None else tracker.estimate_motion(found)
             tracked = tracker.follow(found)
             _log_frame(rr, stream, index, frame, places)
             log_labels(rr, stream, tracked.labels, colours)
             log_outlines(rr, stream, found, tracked.ids, colours)
+            if fits is not None:
+                log_primitives(rr, stream, round_ones.follow(fits, motion))
         colours.log(rr, stream)
 
 

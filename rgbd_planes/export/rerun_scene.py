@@ -8,8 +8,10 @@ from numpy.typing import NDArray
 
 from rgbd_planes._core.optional_imports import needs
 from rgbd_planes.camera.camera import Camera
+from rgbd_planes.export.primitives import patches
 from rgbd_planes.plotting.colours import MISSING, NO_PLANE, in_image, label_colours
 from rgbd_planes.segmentation.polygons import plane_polygons
+from rgbd_planes.segmentation.primitives.tracking import TrackedPrimitives
 from rgbd_planes.segmentation.result import Segmentation
 
 _MOST_CLASSES = 65535  # the most that rerun has: after that many planes the numbers begin again
@@ -107,6 +109,19 @@ def log_outlines(rr: Any, stream: Any, found: Segmentation, ids: NDArray[np.int3
     strips = rr.LineStrips3D(outlines, colors=colours.class_colours(np.array(own, np.int32)))
     stream.log("planes/outlines", strips)
     stream.log("found", rr.Scalars(float(len(ids))))
+
+
+def log_primitives(rr: Any, stream: Any, tracked: TrackedPrimitives) -> None:
+    """Log ``planes/primitives``: what is seen of spheres and cylinders as triangles, in the colours of their ids."""
+    points, triangles, labels = patches(tracked.fits)
+    ids = tracked.ids[labels - 1]
+    colours = label_colours(int(ids.max(initial=0)))[ids - 1]
+    mesh = rr.Mesh3D(
+        vertex_positions=in_image(points, tracked.fits.camera),
+        triangle_indices=triangles[ids[triangles[:, 0]] > 0],
+        vertex_colors=np.rint(255.0 * colours).astype(np.uint8),
+    )
+    stream.log("planes/primitives", mesh)
 
 
 def coloured(labels: NDArray[np.int32], missing: NDArray[np.bool_], colours: PlaneColours) -> NDArray[np.uint8]:

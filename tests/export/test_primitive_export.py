@@ -5,13 +5,14 @@ import struct
 
 import numpy as np
 import pytest
+from recordings import columns_of
 
 import rgbd_planes as rp
 from rgbd_planes import primitive_export, scenes
 from rgbd_planes._core.status import Primitive
 from rgbd_planes.cli import main as cli
 from rgbd_planes.plotting.colours import label_colours
-from rgbd_planes.sequences import images
+from rgbd_planes.sequences import FrameEntry, FrameSequence, images
 
 CAMERA = rp.Camera(320, 240, 262.5, 262.5, 159.5, 119.5, depth_scale=5000.0, noise=rp.noise.NoiseModel((1e-3,)))
 BALL, PIPE = ((-0.3, 0.0, 1.3), 0.15), ((0.3, 0.0, 1.3), 0.1)
@@ -163,3 +164,30 @@ def test_the_command_line_finds_them(depth, tmp_path, monkeypatch, capsys):
     assert float(row[6]) == pytest.approx(1e3 * ball["radius"], abs=0.01)
     assert len(content["planes"]) >= 1
     assert (tmp_path / "found.png").stat().st_size > 1000
+
+
+def test_a_recording_shows_what_is_round_by_its_ids(depth, tmp_path):
+    pytest.importorskip("rerun")
+    pytest.importorskip("shapely")
+    small = rp.Camera(160, 120, 131.0, 131.0, 79.5, 59.5, depth_scale=5000.0)
+    frames = [(depth, CAMERA), (depth, CAMERA), (np.full(small.shape, 10_000, np.uint16), small)]
+    entries = [FrameEntry(str(i), float(i), camera, i) for i, (_, camera) in enumerate(frames)]
+    sequence = FrameSequence(entries, lambda i: frames[i][0])
+    rp.recording.record_segments(sequence, tmp_path / "round.rrd", primitives=True)
+    columns = columns_of(tmp_path / "round.rrd")
+    corners = columns["/planes/primitives", "Mesh3D:vertex_positions"]
+    triangles = columns["/planes/primitives", "Mesh3D:triangle_indices"]
+    found = rp.segment(depth, CAMERA)
+    fits = rp.fit_primitives(depth, CAMERA, found.curved_labels)
+    points, expected, labels = primitive_export.patches(fits)
+    np.testing.assert_allclose(np.array(corners[0]), points, rtol=1e-5, atol=1e-6)
+    is_round = fits.kind[labels[expected[:, 0]] - 1] >= Primitive.SPHERE
+    np.testing.assert_array_equal(np.array(triangles[1]), expected[is_round])
+    colours = columns["/planes/primitives", "Mesh3D:vertex_colors"]
+    assert colours[0] == colours[1]
+    assert len(set(colours[0])) >= 2
+    assert not corners[2]
+    rp.recording.record_segments(sequence, tmp_path / "flat.rrd")
+    assert not any(entity == "/planes/primitives" for entity, _ in columns_of(tmp_path / "flat.rrd"))
+    with pytest.raises(TypeError, match="primitives"):
+        rp.recording.record_segments(sequence, tmp_path / "none.rrd", primitives=1)

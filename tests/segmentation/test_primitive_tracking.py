@@ -129,7 +129,7 @@ def test_a_moving_camera_sees_the_same_things():
         depth = seen.render(camera).measure(noise=1e-3, seed=i)
         found = rp.segment(depth, camera)
         motion = planes.estimate_motion(found)
-        planes.follow(found, motion)
+        planes.follow(found)
         tracked = primitives.follow(rp.fit_primitives(depth, camera, found.curved_labels), motion)
         kinds = {int(one): int(kind) for one, kind in zip(tracked.ids, tracked.fits.kind, strict=True) if one}
         if i == 0:
