@@ -20,7 +20,10 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--show", default="window", metavar="WHERE", help="window, browser, or a file PLANES.rrd")
     options = parser.parse_args(arguments)
 
-    camera = rp.Camera.load(options.camera or options.folder / "camera.json")
+    try:
+        camera = rp.Camera.load(options.camera or options.folder / "camera.json")
+    except (OSError, ValueError) as error:
+        parser.error(str(error))
     rp.warmup(camera, segment=True)  # compiles, once for an installation
     tracker = rp.PlaneTracker()
     try:

@@ -339,3 +339,9 @@ def test_ros2_node(encoding, depths, recording, monkeypatch):
 def test_an_example_is_short_and_tested(path):
     assert len(path.read_text(encoding="utf-8").splitlines()) <= 80
     assert f"test_{path.stem}" in globals()
+
+
+def test_a_folder_without_a_camera_is_said_in_a_line(monkeypatch, tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        example("folder", monkeypatch).main([str(tmp_path)])
+    assert "camera.json: there is no such file" in capsys.readouterr().err.splitlines()[-1]
