@@ -140,8 +140,9 @@ def fit_sequence(
         nz, d; rmse, rmse_metric. Tiles of cameras with a noise model have p_value, too. They, and segments always, have
         the covariance of the plane: cov_nx_nx, cov_nx_ny, ..., cov_d_d. With `FitSettings.curvature` tiles also have
         kappa_1, kappa_2, mean_curvature and gaussian_curvature; with a noise model p_flat, mean_curvature_std and
-        gaussian_curvature_std, too. All floats but timestamp are in single precision. A segment's place is the
-        rectangle around it, its valid_count its pixels.
+        gaussian_curvature_std, too. With `FitSettings.primitives` segments have kind, radius, radius_std, centre_x,
+        ..., axis_z, and curved surfaces have rows, too. All floats but timestamp are in single precision. A segment's
+        place is the rectangle around it, its valid_count its pixels.
     settings : FitSettings, optional
         Tiles or segments, and the arguments of `fit_tiles` or `segment`.
     num_threads : int, optional
@@ -196,7 +197,8 @@ def fit_sequence(
     if len({camera.noise is None for camera in sequence.cameras}) > 1:
         raise ValueError("expected a noise model in all cameras or in none, got some with and some without")
     timed = not bool(np.isnan(sequence.timestamps).any())
-    columns = Columns(settings.segments, sequence.camera.noise is not None, timed, settings.curvature)
+    has_noise = sequence.camera.noise is not None
+    columns = Columns(settings.segments, has_noise, timed, settings.curvature, settings.primitives)
     folder = Path(out)
     check_folder_name(folder, "the table")
     if scheduler is None or (sequence.camera.depth_scale is None and sequence.camera.disparity is None):

@@ -8,12 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rgbd_planes._core.status import TileStatus
+from rgbd_planes._core.status import Primitive, TileStatus
 from rgbd_planes.batch import seal
 from rgbd_planes.fitting.surfaces.tile_surfaces import TileSurfaces
 from rgbd_planes.fitting.tile_planes import TilePlanes
 from rgbd_planes.kernels.fits import table_columns as row_kernels
 from rgbd_planes.kernels.statistics.tiles.block import P_VALUE, PLANE_COVARIANCE
+from rgbd_planes.segmentation.primitives.result import PrimitiveFits
 from rgbd_planes.segmentation.result import Segmentation
 
 KEY = b"rgbd_planes"  # of the file's metadata about its rows
@@ -25,6 +26,8 @@ COVARIANCES = {f"cov_{PLANE[i]}_{PLANE[j]}": (i, j) for i in range(4) for j in r
 _STATISTICS = np.array([P_VALUE, *(PLANE_COVARIANCE + 4 * i + j for i, j in COVARIANCES.values())])
 CURVATURES = ("kappa_1", "kappa_2", "mean_curvature", "gaussian_curvature")
 CURVATURE_STATISTICS = ("p_flat", "mean_curvature_std", "gaussian_curvature_std")
+KINDS = [kind.name for kind in Primitive]
+PRIMITIVES = ("radius", "radius_std", "centre_x", "centre_y", "centre_z", "axis_x", "axis_y", "axis_z")
 _UPPER = tuple(np.array(list(COVARIANCES.values())).T)  # where the covariances are in (4, 4)
 _NO_STATISTICS = np.empty((0, 0, 0)), np.empty(0, np.int64)
 
@@ -50,12 +53,15 @@ class Columns(NamedTuple):
         The time of every frame is known.
     curvature : bool
         The rows of tiles have curvatures, too.
+    primitives : bool
+        There are rows for curved surfaces, too, and columns for what they are.
     """
 
     segments: bool
     noise: bool
     timed: bool
     curvature: bool = False
+    primitives: bool = False
 
 
 @lru_cache(maxsize=2)  # full parts and the last one: places are the same in every part
@@ -71,16 +77,18 @@ class Rows:
     """Rows of some frames, column by column."""
 
     def __init__(self, columns: Columns) -> None:
-        segments, noise, self._timed, curvature = columns
+        segments, noise, self._timed, curvature, self._primitives = columns
         uncertain = list(COVARIANCES) if segments else ["p_value", *COVARIANCES] if noise else []
         which = ["label"] if segments else ["row", "column"]
         self._place_names = [*which, "top", "left", "height", "width"]
         self._curvatures = ([*CURVATURES, *(CURVATURE_STATISTICS if noise else ())]) if curvature else []
-        self._float_names = [*PLANE, "rmse", "rmse_metric", *uncertain, *self._curvatures]
+        named = PRIMITIVES if self._primitives else ()
+        self._float_names = [*PLANE, "rmse", "rmse_metric", *uncertain, *self._curvatures, *named]
         self._noise = noise
         self._frames: list[tuple[int, int, Grid | NDArray[np.int32]]] = []  # number, rows, their places
         self._count = 0
         self._status = np.empty(0, np.int8)
+        self._kind = np.empty(0, np.int8)
         self._valid_count = np.empty(0, np.int32)
         # Single precision is finer than any sensor, and half as much to write.
         self._floats = np.empty((len(self._float_names), 0), np.float32)
@@ -93,7 +101,7 @@ class Rows:
 
     def _reserve(self, capacity: int) -> None:
         if capacity > len(self._status):
-            for name in ("_status", "_valid_count", "_floats"):
+            for name in ("_status", "_kind", "_valid_count", "_floats"):
                 old = getattr(self, name)
                 setattr(self, name, new := np.empty((*old.shape[:-1], capacity), old.dtype))
                 new[..., : old.shape[-1]] = old
@@ -111,22 +119,37 @@ class Rows:
                 values = by_name[name] if name in by_name else getattr(surfaces, name).ravel()
                 self._floats[row, start : self._count] = values
 
-    def add_segments(self, frame: int, places: NDArray[np.int32], segments: Segmentation) -> None:
-        """Add a row for each segment of a frame.
+    def add_segments(
+        self, frame: int, places: NDArray[np.int32], segments: Segmentation, primitives: PrimitiveFits | None = None
+    ) -> None:
+        """Add a row for each segment of a frame, and then for each curved surface.
 
         Parameters
         ----------
         frame : int
             Counted from the first of the part.
         places : (5, n) int32
-            Label, top, left, height and width.
+            Label, top, left, height and width, of the segments and then of the curved surfaces.
         segments : Segmentation
+        primitives : PrimitiveFits, optional
+            What its curved surfaces are.
         """
+        start = self._begin(frame, places.shape[1], places)
+        here, rest = slice(start, start + len(segments)), slice(start + len(segments), self._count)
         covariances = segments.plane_covariance[:, *_UPPER].T
-        here = slice(self._begin(frame, len(segments), places), self._count)
-        self._status[here] = TileStatus.OK
+        values = [*segments.planes.T, segments.rmse, segments.rmse_metric, *covariances]
+        self._status[here], self._kind[here] = TileStatus.OK, Primitive.PLANE
         self._valid_count[here] = segments.sizes
-        self._floats[:, here] = [*segments.planes.T, segments.rmse, segments.rmse_metric, *covariances]
+        self._floats[:, here] = np.nan
+        self._floats[: len(values), here] = values
+        if primitives is not None:
+            self._status[rest], self._kind[rest] = primitives.status, primitives.kind
+            self._valid_count[rest] = primitives.valid_count
+            self._floats[:, rest] = np.nan
+            self._floats[:4, rest] = primitives.planes.T
+            self._floats[4:6, rest] = primitives.rmse, primitives.rmse_metric
+            named = [primitives.radius, primitives.radius_std, *primitives.centre.T, *primitives.axis.T]
+            self._floats[-len(named) :, rest] = named
 
     def _begin(self, frame: int, count: int, places: Grid | NDArray[np.int32]) -> int:
         """Make room for ``count`` rows of a frame; returns the index of the first."""
@@ -185,6 +208,7 @@ class Rows:
             "timestamp": pa.array(np.repeat(timestamps[numbers], counts), from_pandas=not self._timed),
             **{name: pa.array(values) for name, values in zip(self._place_names, self._places(), strict=True)},
             "status": dictionary(self._status[here], STATUSES),
+            **({"kind": dictionary(self._kind[here], KINDS)} if self._primitives else {}),
             "valid_count": pa.array(self._valid_count[here]),
             **{n: pa.array(values[here]) for n, values in zip(self._float_names, self._floats, strict=True)},
         }
@@ -198,7 +222,7 @@ class Rows:
             with pq.ParquetWriter(
                 buffered,
                 schema,
-                use_dictionary=["name", "status"],
+                use_dictionary=["name", "status", *(["kind"] if self._primitives else [])],
                 compression={name: "snappy" if name in compressed else "none" for name in columns},
                 write_statistics=["frame", "timestamp"],  # the columns that rows are selected by
                 write_batch_size=1 << 16,

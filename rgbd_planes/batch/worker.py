@@ -28,6 +28,8 @@ from rgbd_planes.fitting.surfaces.tiles import SurfaceFitter
 from rgbd_planes.fitting.tile_grid import check_tile, grid_shape, tile_sides
 from rgbd_planes.fitting.tile_planes import TilePlanes
 from rgbd_planes.fitting.tiles import TileFitter
+from rgbd_planes.segmentation.primitives.fit import fit_primitives
+from rgbd_planes.segmentation.result import boxes_of
 from rgbd_planes.segmentation.segment import MIN_SIZE, check_min_size, segment
 from rgbd_planes.sequences.frames import FrameSequence
 from rgbd_planes.sequences.problems import Problem, reason_to_skip
@@ -48,6 +50,8 @@ class FitSettings:
         For segments, as `rgbd_planes.segment` takes it.
     curvature : bool
         For tiles: also the curvatures of `rgbd_planes.fit_surfaces`, for the same tiles.
+    primitives : bool
+        For segments: also a row for each curved surface, by `rgbd_planes.fit_primitives`, with its own labels.
 
     Raises
     ------
@@ -63,6 +67,7 @@ class FitSettings:
     significance: float | None = None
     min_size: int = MIN_SIZE
     curvature: bool = False
+    primitives: bool = False
 
     def __post_init__(self) -> None:
         # As Python's own types, whatever fit_tiles takes: they are keys of a cache, and are written to a file.
@@ -72,6 +77,7 @@ class FitSettings:
             "tile": sides if np.ndim(self.tile) else sides[0],
             "min_size": check_min_size(self.min_size),
             "curvature": check_bool("curvature", self.curvature),
+            "primitives": check_bool("primitives", self.primitives),
             "max_missing": check_share("max_missing", self.max_missing),
             "max_error": None if self.max_error is None else check_max_error(self.max_error),
             "significance": check_level(self.significance),
@@ -89,7 +95,7 @@ class FitSettings:
             The settings cannot be used, or some are for tiles with `segments`, or for segments without it.
         """
         fitted, others = ("segments", "tiles") if self.segments else ("tiles", "segments")
-        segment_options = ("segments", "min_size")
+        segment_options = ("segments", "min_size", "primitives")
         others_options = [
             f.name
             for f in fields(self)
@@ -181,7 +187,7 @@ def fit_part(
     files: list[str] = []  # before they are read: a file that changes meanwhile is another one then
     seconds = {"read": 0.0, "fit": 0.0, "write": 0.0}
     rows = empty_rows(columns, len(sequence) * settings.rows_of_frame(sequence.camera))
-    add = partial(_add_segments, settings.min_size) if settings.segments else _TileAdder(settings)
+    add = partial(_add_segments, settings) if settings.segments else _TileAdder(settings)
     said: list[str] = []
     warnings: dict[str, tuple[str, str]] = {}
     asked = settings.segments  # by `segment` itself
@@ -278,10 +284,15 @@ class _TileAdder:
         rows.add_tiles(index, self._grid, tiles, self._surfaces)
 
 
-def _add_segments(min_size: int, frame: Frame, index: int, rows: Rows) -> None:
-    segments = segment(frame.depth, frame.camera, min_size=min_size)
+def _add_segments(settings: FitSettings, frame: Frame, index: int, rows: Rows) -> None:
+    segments = segment(frame.depth, frame.camera, min_size=settings.min_size)
+    boxes, primitives = [segments._boxes], None
+    if settings.primitives:
+        primitives = fit_primitives(frame.depth, frame.camera, segments.curved_labels)
+        boxes.append(boxes_of(segments.curved_labels, len(primitives)))
     places = [
         (label, down.start, across.start, down.stop - down.start, across.stop - across.start)
-        for label, (down, across) in enumerate(segments._boxes, start=1)
+        for own in boxes
+        for label, (down, across) in enumerate(own, start=1)
     ]
-    rows.add_segments(index, np.array(places, np.int32).reshape(-1, 5).T, segments)
+    rows.add_segments(index, np.array(places, np.int32).reshape(-1, 5).T, segments, primitives)

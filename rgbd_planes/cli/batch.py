@@ -44,6 +44,9 @@ def batch(parser: argparse.ArgumentParser) -> Run:
         help="one row for each plane of the scene, not for each tile; takes no options of tiles, but --min-size",
     )
     add_min_size(parser)
+    parser.add_argument(
+        "--primitives", action="store_true", help="with --segments, add a row for each sphere, cylinder or other curve"
+    )
     parser.add_argument("--curvature", action="store_true", help="add how each tile is curved to the table")
     add_fit_options(parser)
     add_noise(parser, "adds covariances and p-values to the table, and calls tiles ROUGH that it does not explain")
@@ -80,6 +83,7 @@ def batch(parser: argparse.ArgumentParser) -> Run:
             significance=arguments.significance,
             min_size=arguments.min_size,
             curvature=arguments.curvature,
+            primitives=arguments.primitives,
         )
         bar = tqdm(total=len(sequence), unit="frame", disable=None)  # None: only on a terminal
         skipped: Counter[str] = Counter()  # by reason: each is printed once, and that of several frames at the end
