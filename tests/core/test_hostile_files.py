@@ -64,7 +64,7 @@ def answer(kind, path):
     *said, numbers = done.stdout.splitlines()
     memory, seconds = map(float, numbers.split())
     assert memory < MOST, f"{memory / 2**20:.0f} MiB"
-    assert seconds < 60.0  # not a measurement: it does not go on for ever
+    assert seconds < 10.0  # not a measurement: the slowest takes two on a busy machine
     return "\n".join(said)
 
 
