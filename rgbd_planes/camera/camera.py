@@ -329,8 +329,9 @@ class Camera:
         Returns
         -------
         (..., 2) ndarray of float64
-            Column x and row y in pixels; NaN behind the camera, where the distortion has no image of the ray, and
-            for points that are not finite or whose image is not. NaN outside the image of a camera with given rays.
+            Column x and row y in pixels. A point behind the camera is NaN, as is one whose ray the distortion gives no
+            image. So are points that are not finite, or whose image is not. With given rays, all is NaN outside the
+            image.
 
         Raises
         ------
@@ -591,9 +592,11 @@ class Camera:
         Parameters
         ----------
         path : path
-            JSON with the keys of `to_dict`; YAML, XML or JSON of ``cv2.FileStorage``; ROS, Kalibr, ORB-SLAM or VINS
-            YAML; Open3D, RealSense, nerfstudio (transforms.json), Record3D or Polycam JSON; COLMAP's cameras.txt; the
-            info.txt of BundleFusion and ScanNet; ARKitScenes' .pincam.
+            - JSON with the keys of `to_dict`
+            - YAML, XML or JSON of ``cv2.FileStorage``
+            - YAML of ROS, Kalibr, ORB-SLAM or VINS
+            - JSON of Open3D, RealSense, nerfstudio (transforms.json), Record3D or Polycam
+            - COLMAP's cameras.txt, the info.txt of BundleFusion and ScanNet, ARKitScenes' .pincam
         name : str, optional
             Which camera, if the file has several: "cam1" of Kalibr, "2" of COLMAP.
         **depth
@@ -652,10 +655,10 @@ class Camera:
         Notes
         -----
         Depth is Z, along the axis; a scanner's distances are divided by ``numpy.sqrt(1 + tan_x**2 + tan_y**2)`` first.
-        Rays of 85 degrees from the axis or more, and behind, are missing: a scan all around takes several cameras, each
-        with a part of the columns and an axis of its own. Neighbouring pixels should look at neighbouring places, since
-        planes are found from pixels that touch. `project` interpolates between the rays, and `resized` takes its rays
-        from there.
+        Rays of 85 degrees from the axis or more, and behind, are missing. So a scan all around takes several cameras,
+        each with a part of the columns and an axis of its own. Neighbouring pixels should look at neighbouring places,
+        since planes are found from pixels that touch. `project` interpolates between the rays, and `resized` takes its
+        rays from there.
 
         Examples
         --------

@@ -127,8 +127,8 @@ def write_normals(path: str | os.PathLike[str], normals: ArrayLike) -> None:
     path : path
         Ends in .png, .tif, .tiff or .npy.
     normals : (H, W, 3) array_like
-        In PNG -1..1 is 0..255, and black where there is none, as most networks and data sets have it; in TIFF three
-        channels of float32, NaN where there is none.
+        In PNG -1..1 becomes 0..255, and none becomes black, as most networks and data sets have it. In TIFF there are
+        three channels of float32, NaN where there is none.
 
     Raises
     ------

@@ -191,8 +191,8 @@ def to_ros_planes(tiles: TilePlanes, frame_id: str = "", stamp: Any = 0.0) -> di
     frame_id : str
         Name of the camera's optical frame.
     stamp : float, or a message's stamp
-        Seconds, an unknown time, NaN, as 0; or, kept exactly, an object or mapping with sec and nanosec, or ROS 1's
-        secs and nsecs, a time of rclpy, which has nanoseconds, or a `numpy.datetime64`.
+        Seconds; NaN, an unknown time, becomes 0. Kept exactly are objects and mappings with sec and nanosec, or ROS 1's
+        secs and nsecs. So are a time of rclpy, which has nanoseconds, and a `numpy.datetime64`.
 
     Returns
     -------

@@ -33,8 +33,8 @@ class Segmentation(Savable):
     planes : (N, 4) float64
         nx, ny, nz, d of n·X + d = 0, ‖n‖ = 1, d > 0, n towards the camera; metres.
     alpha : (N, 3) float64
-        -n / d, in 1/m: q = α·(tanθx, tanθy, 1). It is the least squares fit to the label's interior pixels, all of
-        whose eight measured neighbours have the label, too: at an edge a pixel may see both sides. Where fewer than
+        -n / d, in 1/m: q = α·(tanθx, tanθy, 1). It is the least squares fit to the label's interior pixels. All
+        eight measured neighbours of these have the label, too: at an edge a pixel may see both sides. Where fewer than
         half are interior, it is the fit to all pixels of the label. Strays that took their neighbours' label in the end
         are in no fit, and neither are the pixels beside them.
     alpha_covariance : (N, 3, 3) float64
@@ -60,11 +60,11 @@ class Segmentation(Savable):
 
     Notes
     -----
-    A frame shows no shared errors if squares of 16 to 64 pixels within its planes differ as independent errors make
-    them differ in 99 frames of a hundred, or are too few to tell. The frame's noise counts as no less than 0.04 % of
-    1/Z, and chance and edges pass for errors that reach far. So where errors are independent, covariances without a
-    model are too large, in single frames many times. Where errors reach farther than the squares show, as the errors of
-    most sensors do, they are too small.
+    Squares of 16 to 64 pixels within planes show shared errors. A frame has none if they differ as independent errors
+    make them differ in 99 frames of a hundred. Nor has it any if they are too few to tell. The frame's noise counts as
+    no less than 0.04 % of 1/Z, and chance and edges pass for errors that reach far. So where errors are independent,
+    covariances without a model are too large, in single frames many times. Where errors reach farther than the squares
+    show, as the errors of most sensors do, they are too small.
     """
 
     camera: Camera

@@ -30,9 +30,9 @@ def folder(path: str | os.PathLike[str], camera: Camera | None = None, *, allow_
     Returns
     -------
     FrameSequence
-        With the times of ``depth.txt``, if there is one, and poses, where files have them: ``NAME.pose.txt`` beside
-        ``NAME.depth.png``, ``pose/NAME.txt`` or ``poses/NAME.txt`` for ``depth/NAME.png``, or ``groundtruth.txt``, as
-        the TUM benchmark writes it.
+        With the times of ``depth.txt``, if there is one, and with poses, if files have them. Those are
+        ``NAME.pose.txt`` beside ``NAME.depth.png``, or ``pose/NAME.txt`` or ``poses/NAME.txt`` for ``depth/NAME.png``.
+        ``groundtruth.txt``, as the TUM benchmark writes it, is read, too.
 
     Raises
     ------

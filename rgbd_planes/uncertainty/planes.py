@@ -365,7 +365,7 @@ def align_planes(
 
     Planes that face one direction leave two translations and a turn open, as a wall does; two directions leave one
     translation open, as in a corridor. The transform has no part along what is open. A direction counts as open where
-    its information is no more than errors of the normals alone would feign: its deviation is then above a fifth of a
+    its information is no more than errors of the normals alone would feign. Its deviation is then above a fifth of a
     radian, or of the planes' median distance.
     """
     from scipy.spatial.transform import Rotation
