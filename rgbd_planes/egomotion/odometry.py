@@ -17,6 +17,7 @@ from rgbd_planes.egomotion.frame_tiles import FrameTiles, rays_of_tiles, tiles_o
 from rgbd_planes.egomotion.keyframes import NEW, Keyframe, Keyframes
 from rgbd_planes.egomotion.pose import CameraPose
 from rgbd_planes.fitting.tiles import TileFitter
+from rgbd_planes.segmentation.camera_motion import Motion
 from rgbd_planes.segmentation.result import Segmentation
 from rgbd_planes.segmentation.segment import MIN_SIZE, check_settings, segment_frame
 from rgbd_planes.segmentation.tracking import PlaneTracker, TrackedSegmentation
@@ -112,11 +113,12 @@ class Odometry(FixedArguments):
 
     def _track(self, found: Segmentation, is_lost: bool) -> TrackedSegmentation:
         """Give planes their ids, by the motion that was found; what is lost counts as seen from the last place."""
-        motion = np.eye(4)
+        motion = Motion()
         if not is_lost:
-            motion = inverse(self._pose) @ self._tracked_pose
+            moved = inverse(self._pose) @ self._tracked_pose
+            motion = Motion(moved[:3, :3], moved[:3, 3])
             self._tracked_pose = self._pose
-        return self._tracker.follow(found, motion)
+        return self._tracker._follow(found, motion)
 
     def _locate(self, tiles: FrameTiles, found: Segmentation) -> Alignment | None:
         """Align a frame, from where the prior says, and from elsewhere if that shows little of it."""

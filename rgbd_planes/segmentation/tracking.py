@@ -177,7 +177,10 @@ class PlaneTracker(FixedArguments):
         """
         if not isinstance(found, Segmentation):
             raise no_segmentation(found)
-        moved = None if motion is None else Motion.of("motion", motion)
+        return self._follow(found, None if motion is None else Motion.of("motion", motion))
+
+    def _follow(self, found: Segmentation, moved: Motion | None) -> TrackedSegmentation:
+        """Follow planes by a motion that needs no check."""
         if found.labels.shape != self._shape:
             self._shape, self._known = found.camera.shape, KnownPlanes()
         view, ids = View.of(found), np.zeros(len(found), np.int32)
