@@ -58,7 +58,10 @@ def relative(poses: list[np.ndarray]) -> np.ndarray:
     return np.linalg.inv(poses[0]) @ np.array(poses)
 
 
-@pytest.mark.parametrize("camera", [CAMERA, WIDE], ids=["no lens", "a lens"])
+with_and_without_a_lens = pytest.mark.parametrize("camera", [CAMERA, WIDE], ids=["no lens", "a lens"])
+
+
+@with_and_without_a_lens
 def test_a_walk_through_the_room(camera: Camera) -> None:
     truth = poses_of(20)
     found = list(rp.odometry(room(truth, camera), camera))
@@ -118,24 +121,26 @@ def test_what_nothing_observes(place: str) -> None:
             assert direction @ pose.covariance @ direction > 1e-4  # the prior's, not what was seen
 
 
-def test_somebody_walks_through() -> None:
+@with_and_without_a_lens
+def test_somebody_walks_through(camera: Camera) -> None:
     truth = poses_of(24, 0.006)
     frames = []
     for i, pose in enumerate(truth):
         person = scenes.box("person", (0.12 * i - 1.6, -0.2, 1.3), (0.45, 1.5, 0.3))
-        frames += seen([*scenes.room().surfaces, *person], [pose])
-    found = list(rp.odometry(frames, CAMERA))
+        frames += seen([*scenes.room().surfaces, *person], [pose], camera)
+    found = list(rp.odometry(frames, camera))
     assert not any(pose.is_lost for pose in found)
     errors = rp.metrics.trajectory_errors([pose.T_world_camera for pose in found], relative(truth))
     assert errors.absolute_rmse < 0.02
 
 
-def test_frames_without_anything_and_of_another_place() -> None:
+@with_and_without_a_lens
+def test_frames_without_anything_and_of_another_place(camera: Camera) -> None:
     truth = poses_of(24)
-    frames = room(truth)
-    elsewhere = room([scenes.look_at([0.0, -1.2, 3.0], [-0.2, -1.5, 0.0])])[0]
+    frames = room(truth, camera)
+    elsewhere = room([scenes.look_at([0.0, -1.2, 3.0], [-0.2, -1.5, 0.0])], camera)[0]
     frames[8], frames[9], frames[15] = np.zeros_like(frames[0]), np.zeros_like(frames[0]), elsewhere
-    found = list(rp.odometry(frames, CAMERA))
+    found = list(rp.odometry(frames, camera))
     assert [pose.index for pose in found if pose.is_lost] == [8, 9, 15]
     for i in (8, 15):
         assert not found[i].information.any()
@@ -147,11 +152,12 @@ def test_frames_without_anything_and_of_another_place() -> None:
     assert errors.absolute_rmse < 0.01
 
 
-def test_every_tenth_frame_is_missing() -> None:
+@with_and_without_a_lens
+def test_every_tenth_frame_is_missing(camera: Camera) -> None:
     kept = [i for i in range(30) if i % 10]
     truth = poses_of(30)
-    frames = room(truth)
-    found = list(rp.odometry((frames[i] for i in kept), CAMERA))
+    frames = room(truth, camera)
+    found = list(rp.odometry((frames[i] for i in kept), camera))
     errors = rp.metrics.trajectory_errors([pose.T_world_camera for pose in found], relative([truth[i] for i in kept]))
     assert not any(pose.is_lost for pose in found)
     assert errors.absolute_rmse < 0.01 * errors.path_length
@@ -163,6 +169,19 @@ def test_a_sequence_that_begins_with_nothing() -> None:
     assert [pose.is_lost for pose in found] == [True, False, False, False]
     assert [pose.is_keyframe for pose in found] == [False, True, False, False]
     assert found[3].reference == 1
+
+
+def test_ids_follow_the_motion_that_was_found() -> None:
+    """Through a frame of another place, too: what is lost moves nothing."""
+    truth = poses_of(12)
+    frames = room(truth)
+    frames[6] = room([scenes.look_at([0.0, -1.2, 3.0], [-0.2, -1.5, 0.0])])[0]
+    found = list(rp.odometry(frames, CAMERA))
+    assert found[6].is_lost
+    large = [set(p.segmentation.ids[p.segmentation.segmentation.sizes > 500].tolist()) for p in found]
+    assert len(large[0] & large[11]) >= 0.8 * len(large[0])
+    assert len(large[5] & large[7]) >= 0.8 * len(large[5])
+    assert len(large[5] & large[6]) <= 1
 
 
 def test_the_same_bits_again() -> None:
