@@ -78,49 +78,6 @@ def add_columns(q, u, v, count, along):
         along[5, x], along[6, x], along[7, x], along[8, x], along[9, x] = s_uv, s_uq, s_vv, s_vq, s_qq
 
 
-@kernel(inline=True)
-def apart(values, count, columns):
-    """Gather the first columns of pixels of ``count`` blocks, then the second ones, and so on: (BLOCK·CHUNK,)."""
-    for c in range(count):
-        x = c * BLOCK
-        columns[c] = values[x]
-        columns[CHUNK + c] = values[x + 1]
-        columns[2 * CHUNK + c] = values[x + 2]
-        columns[3 * CHUNK + c] = values[x + 3]
-
-
-@kernel(inline=True)
-def add_separable(q, u, row_v, count, sums):
-    """Moments of blocks where tanθx, ``u``, depends on the column alone and tanθy, ``row_v`` (BLOCK,), on the row.
-
-    ``q`` (BLOCK, BLOCK·CHUNK) and ``u`` have their columns in the order of `apart`; ``sums`` is (10, CHUNK).
-    """
-    for c in range(count):
-        n = s_u = s_v = s_q = s_uu = s_uv = s_uq = s_vv = s_vq = s_qq = 0.0
-        for j in range(BLOCK):
-            x = j * CHUNK + c
-            n_column = v_column = q_column = 0.0
-            for k in range(BLOCK):
-                p = np.float64(q[k, x])
-                valid = 1.0 if p > 0.0 else 0.0
-                v = valid * row_v[k]
-                n_column += valid
-                v_column += v
-                q_column += p
-                s_vv += v * row_v[k]
-                s_vq += p * row_v[k]
-                s_qq += p * p
-            n += n_column
-            s_v += v_column
-            s_q += q_column
-            s_u += u[x] * n_column
-            s_uu += u[x] * u[x] * n_column
-            s_uv += u[x] * v_column
-            s_uq += u[x] * q_column
-        sums[0, c], sums[1, c], sums[2, c], sums[3, c], sums[4, c] = n, s_u, s_v, s_q, s_uu
-        sums[5, c], sums[6, c], sums[7, c], sums[8, c], sums[9, c] = s_uv, s_uq, s_vv, s_vq, s_qq
-
-
 @kernel(reduction=True)
 def sum_by_fours(pyramid, rays):
     """Moments and planes of squares of 2x2, 4x4, ... blocks, from the pyramid's lowest level: one after another."""
@@ -145,8 +102,7 @@ def sum_by_fours(pyramid, rays):
 def read_frame(raw, lowest, highest, scale, offset, is_disparity, rays, inverse_depth, pyramid):
     """Read the frame once: the inverse depth of every pixel, and moments and plane of every block and square.
 
-    Sums are first taken down the image columns, in loops along the rows, which vectorise. Where tanθx is the same down
-    a column, it multiplies the column's sums.
+    Sums are first taken down the image columns, in loops along the rows, which vectorise.
 
     Parameters
     ----------
@@ -176,9 +132,6 @@ def read_frame(raw, lowest, highest, scale, offset, is_disparity, rays, inverse_
     u, v = np.zeros((BLOCK, CHUNK * BLOCK)), np.zeros((BLOCK, CHUNK * BLOCK))
     along = np.empty((10, CHUNK * BLOCK))
     sums = np.empty((10, CHUNK))
-    separable = tan_x.shape[0] == 1 and tan_y.shape[1] == 1
-    row_v = np.zeros(BLOCK)
-    column_q, u_columns = np.zeros((BLOCK, CHUNK * BLOCK), np.float32), np.zeros(CHUNK * BLOCK)
     nearest = np.int32(0)
     for row in range(rows):
         top, bottom = row * BLOCK, min(row * BLOCK + BLOCK, height)
@@ -202,21 +155,12 @@ def read_frame(raw, lowest, highest, scale, offset, is_disparity, rays, inverse_
                 k = y - top
                 here = y * width + left
                 copy(inverse[here : here + right - left], q[k, : right - left])
-                if separable:
-                    row_v[k] = tan_y[y, 0]
-                else:
-                    copy(tan_x[y, left:right], u[k, : right - left])
-                    copy(tan_y[y, left:right], v[k, : right - left])
-            if separable:
-                copy(tan_x[0, left:right], u[0, : right - left])
-                apart(u[0], count, u_columns)
-                for k in range(BLOCK):
-                    apart(q[k], count, column_q[k])
-                add_separable(column_q, u_columns, row_v, count, sums)
-            else:
-                add_columns(q, u, v, count, along)
-                for k in range(10):
-                    fold(along[k], sums[k], count)
+                copy(tan_x[y if len(tan_x) > 1 else 0, left:right], u[k, : right - left])
+                for x in range(right - left):
+                    v[k, x] = tan_y[y, left + x if tan_y.shape[1] > 1 else 0]
+            add_columns(q, u, v, count, along)
+            for k in range(10):
+                fold(along[k], sums[k], count)
             i = row * columns + start
             solve_squares(sums, count, rays, rss[i : i + count], slope_square[i : i + count])
             for k in range(10):
