@@ -67,35 +67,3 @@ def list_marked(marks, words, mark, where):
                 where[count] = k
                 count += marks[k] == mark
     return count
-
-
-@kernel(inline="compiled")
-def list_both(marks, words, mark, where, other, elsewhere):
-    """As `list_marked`, in one pass, for ``mark`` and an ``other``, which goes ``elsewhere``; returns both counts."""
-    count = other_count = 0
-    for start in range(0, len(words), WORDS):
-        some = some_of(words, start)
-        while some != 0:
-            w = start + lowest_bit(some)
-            some &= some - np.uint64(1)
-            for k in range(w * WORD, (w + 1) * WORD):
-                where[count] = elsewhere[other_count] = k
-                count += marks[k] == mark
-                other_count += marks[k] == other
-    return count, other_count
-
-
-@kernel(inline="compiled")
-def list_bits(words, where):
-    """Write where ``words`` (K,) uint64 have bits: 64·word + bit, in order; returns how many they have.
-
-    Of bytes that are seen as words, that is 8·byte + bit, and takes less time than `list_marked` if they have several.
-    """
-    count = 0
-    for w in range(len(words)):
-        bits = words[w]
-        while bits != 0:
-            where[count] = 64 * w + lowest_bit(bits)
-            count += 1
-            bits &= bits - np.uint64(1)
-    return count

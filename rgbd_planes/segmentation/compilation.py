@@ -16,8 +16,10 @@ from typing import Any
 import numba
 import numpy as np
 from numba import config
+from numpy.typing import NDArray
 
 from rgbd_planes._core import compile_notice
+from rgbd_planes._core.arrays import Floats
 from rgbd_planes.camera.camera import Camera
 from rgbd_planes.camera.depth_frame import DepthFrame, as_depth_frame
 from rgbd_planes.kernels._jit import kernel as jit
@@ -25,21 +27,25 @@ from rgbd_planes.kernels.segmentation.assign.assign_pixels import assign_pixels
 from rgbd_planes.kernels.segmentation.assign.spread import move_on, spread_out
 from rgbd_planes.kernels.segmentation.blocks.pyramid import read_frame
 from rgbd_planes.kernels.segmentation.blocks.quadtree import join_blocks
-from rgbd_planes.kernels.segmentation.components.components import find_parts
-from rgbd_planes.kernels.segmentation.components.labels import leave_out, settle_strays, write_labels
+from rgbd_planes.kernels.segmentation.components.components import judge_parts, measure_parts
+from rgbd_planes.kernels.segmentation.components.labels import leave_out, list_strays, settle_strays, write_labels
 from rgbd_planes.kernels.segmentation.components.occlusion_gaps import join_across_gaps
 from rgbd_planes.kernels.segmentation.components.rim_outliers import release_rims
+from rgbd_planes.kernels.segmentation.components.runs import connect
 from rgbd_planes.kernels.segmentation.curved.curved import find_curved
 from rgbd_planes.kernels.segmentation.curved.surfaces import number_surfaces
+from rgbd_planes.kernels.segmentation.evidence.evidence import renumber_labels, weigh_planes
 from rgbd_planes.kernels.segmentation.merge.contacts import keep_pairs_inside, neighbours, rename_pairs
 from rgbd_planes.kernels.segmentation.merge.merge import merge, renumber_regions
 from rgbd_planes.kernels.segmentation.merge.seed_growing import grow_together
 from rgbd_planes.kernels.segmentation.merge.split_faces import find_doubtful, keep_faces, keep_turned, take_parts
 from rgbd_planes.kernels.segmentation.model.planes import describe_planes, fit_regions
 from rgbd_planes.kernels.segmentation.model.records import (
+    Found,
     Labels,
     Modelled,
     Noise,
+    Parts,
     Planes,
     Reasons,
     Regions,
@@ -56,38 +62,13 @@ from rgbd_planes.segmentation.frame_noise import correlation_table
 from rgbd_planes.segmentation.workspace import Workspace, rays_of
 
 MOST_PROCESSES = 4
-WORK = (
-    8.6,
-    8.0,
-    5.8,
-    4.2,
-    3.4,
-    3.0,
-    2.8,
-    1.6,
-    1.7,
-    1.4,
-    1.3,
-    1.1,
-    1.0,
-    1.0,
-    1.0,
-    0.7,
-    0.5,
-    0.4,
-    0.3,
-    0.2,
-    0.2,
-    0.2,
-    0.2,
-)
-"""Seconds that each kernel of `_calls` took to compile on one machine."""
 _ready: set[tuple[Any, ...]] = set()
 _lock = threading.Lock()
 if hasattr(os, "register_at_fork"):  # a fork waits for a thread that compiles: see `compiler_pauses`
     os.register_at_fork(before=_lock.acquire, after_in_parent=_lock.release, after_in_child=_lock.release)
 
-Call = tuple[Any, tuple[Any, ...]]
+Call = tuple[float, Any, tuple[Any, ...]]
+"""Seconds that it took to compile on one machine, a kernel, and its arguments."""
 
 
 def compile_for(frame: DepthFrame) -> None:
@@ -117,54 +98,64 @@ def _calls(dtype: str, is_disparity: bool) -> list[Call]:
     regions = plain(Regions(block, moments, number, work.owners, shares))
     planes = plain(Planes(np.empty((1, 3)), np.empty(1), np.empty(1), np.empty(1), rays.stretch))
     view = plain(View(work.inverse_depth, rays, work.pyramid, noise, Rules(), work.sensor))
-    noise, rules, contacts, pyramid = view[3], view[4], plain(work.contacts), work.pyramid
-    runs, found, reasons = plain(work.runs), plain(work.found), plain(Reasons(*np.zeros(7, np.uint8)))
+    q, noise, rules, contacts, pyramid = work.inverse_depth, view[3], view[4], plain(work.contacts), work.pyramid
+    reasons, alpha, flags, sizes, none = plain(Reasons(*np.zeros(7, np.uint8))), np.empty((1, 3)), *_of_one()
+    runs, parts = plain(work.runs), plain(Parts(moments, sizes, number, number, number, number))
+    found = plain(Found(moments, sizes, moments, alpha, sizes, np.empty((1, 5)), np.empty(2, np.int32)))
     labels = plain(Labels(np.empty(camera.shape, np.int32), np.empty(camera.shape, np.uint8)))
-    flags, sizes, none = np.empty(1, np.bool_), np.empty(1), np.uint8(0)
+    part, why = np.empty(1, np.int32), np.empty(1, np.uint8)
     modelled = plain(Modelled(np.empty((1, 6)), sizes, sizes, False, False))
     return [
-        (find_curved, (view, regions, planes, contacts, 1, False, flags, sizes)),
-        (assign_pixels, (view, regions, planes, work.last_region, np.empty((0, 3)), plain(work.contended),
-                         regions[4])),
-        (find_parts, (view, regions, flags, sizes, 1, reasons, runs, found)),
-        (find_noise, (pyramid, 1.0, np.empty(0), False, 1.0, values[3], is_disparity, correlation_table(),
-                      np.empty(3), np.empty(ENTRIES + 1))),
-        (join_across_gaps, (view, runs, found)),
-        (read_frame, (*values, rays, work.inverse_depth, pyramid)),
-        (release_rims, (view, regions[4], runs, found, 1, 1, none, labels)),
-        (merge, (moments, contacts, 1, noise, rules, 1.0, number)),
-        (fit_interior, (view, labels, none, found)),
-        (join_blocks, (view, block, work.owners.block, work.region_moments)),
-        (find_doubtful, (moments, moments, number, noise, rules, flags, flags, flags)),
-        (neighbours, (block, view[1], contacts)),
-        (describe_planes, (found, noise, 1.0, modelled, 1.0, values[3], is_disparity, np.empty((1, 4)),
-                           np.empty((1, 3)), np.empty((1, 3, 3)), sizes, np.empty(1, np.int32))),
-        (settle_strays, (work.inverse_depth, runs, found, 1, none, 1, labels)),
-        (spread_out, (view, regions, planes)),
-        (write_labels, (work.inverse_depth, runs, found, reasons, 1, labels)),
-        (grow_together, (block, moments, noise, rules, number)),
-        (move_on, (view, block, work.last_region, planes[0])),
-        (leave_out, (1, 1, none, runs, found)),
-        (fit_regions, (moments, noise, planes)),
-        (renumber_regions, (block, number, moments, 1.0, number)),
-        (rename_pairs, (contacts[0], 1, number)),
-        (nearest_surface, (pyramid, 1.0)),
+        (8.6, find_curved, (view, regions, planes, contacts, 1, False, flags, sizes)),
+        (7.0, assign_pixels, (view, regions, planes, work.last_region, plain(work.contended), regions[4])),
+        (4.2, find_noise, (pyramid, 1.0, np.empty(0), False, 1.0, values[3], is_disparity, correlation_table(),
+                           np.empty(3), np.empty(ENTRIES + 1))),
+        (3.4, join_across_gaps, (view, runs, 1, part, moments, sizes)),
+        (3.0, read_frame, (*values, rays, q, pyramid)),
+        (2.5, weigh_planes, (labels[0], q, view[1], alpha, moments, 1.0, sizes)),
+        (2.8, release_rims, (view, regions[3], regions[4], moments, sizes, 1, none, *labels)),
+        (2.0, connect, (regions, labels[0], runs)),
+        (1.6, merge, (moments, contacts, 1, noise, rules, 1.0, number)),
+        (1.7, fit_interior, (view, labels, none, found)),
+        (1.4, join_blocks, (view, block, work.owners.block, work.region_moments)),
+        (1.3, find_doubtful, (moments, moments, number, noise, rules, flags, flags, flags)),
+        (1.1, neighbours, (block, view[1], contacts)),
+        (1.0, describe_planes, (found, noise, 1.0, modelled, 1.0, values[3], is_disparity, np.empty((1, 4)), alpha,
+                                np.empty((1, 3, 3)), sizes, part)),
+        (1.0, spread_out, (view, regions, planes)),
+        (1.0, measure_parts, (view, runs, 1, moments, parts)),
+        (1.0, settle_strays, (reasons, 1, *labels, part, work.strays, 1)),
+        (0.4, list_strays, (reasons, *labels, work.strays)),
+        (0.7, write_labels, (q, runs, part, why, reasons, *labels)),
+        (0.7, judge_parts, (parts, flags, sizes, rules, 1, reasons, why, part, number)),
+        (0.5, grow_together, (block, moments, noise, rules, number)),
+        (0.4, move_on, (view, block, work.last_region, alpha)),
+        (0.3, leave_out, (1, none, part, why, moments, sizes)),
+        (0.2, fit_regions, (moments, noise, planes)),
+        (0.2, renumber_regions, (block, number, moments, 1.0, number)),
+        (0.2, rename_pairs, (contacts[0], 1, number)),
+        (0.2, nearest_surface, (pyramid, 1.0)),
     ]  # fmt: skip
 
 
+def _of_one() -> tuple[NDArray[np.bool_], Floats, np.uint8]:
+    return np.empty(1, np.bool_), np.empty(1), np.uint8(0)
+
+
 def _more_calls(dtype: str) -> list[Call]:
-    """The kernels that only some frames need: regions that are several faces or curved, shared noise."""
-    calls = dict(_calls(dtype, False))
+    """The kernels that only some frames need: several faces, what is curved, planes left out, shared noise."""
+    calls = {kernel: arguments for _, kernel, arguments in _calls(dtype, False)}
     view, regions, _, contacts, *_ = calls[find_curved]
     labels, pyramid = calls[fit_interior][1], calls[nearest_surface][0]
     moments, _, number, _, _, flags, *_ = calls[find_doubtful]
     return [
-        (keep_turned, (view, regions, flags, flags)),
-        (keep_faces, (view, regions, moments, number, flags, flags)),
-        (keep_pairs_inside, (contacts, 1, number, flags)),
-        (take_parts, (number, number, flags, moments, moments)),
-        (shared_by_planes, (1.0, pyramid, labels[0], view[0])),
-        (number_surfaces, (view, labels[1], np.uint8(0), 1, labels[0])),
+        (1.0, keep_turned, (view, regions, flags, flags)),
+        (1.0, keep_faces, (view, regions, moments, number, flags, flags)),
+        (1.0, shared_by_planes, (1.0, pyramid, labels[0], view[0])),
+        (0.2, keep_pairs_inside, (contacts, 1, number, flags)),
+        (0.2, take_parts, (number, number, flags, moments, moments)),
+        (0.2, renumber_labels, (np.empty(1, np.int32), np.uint8(0), labels)),
+        (0.5, number_surfaces, (view, labels[1], np.uint8(0), 1, labels[0])),
     ]
 
 
@@ -176,23 +167,19 @@ def compile_everything(dtype: str, is_disparity: bool) -> None:
 
 def _compile(dtype: str, is_disparity: bool, more: list[Call] | None = None) -> None:
     calls = _calls(dtype, is_disparity) + (more or [])
-    signatures = [(kernel, tuple(map(numba.typeof, arguments))) for kernel, arguments in calls]
+    signatures = [(kernel, tuple(map(numba.typeof, arguments))) for _, kernel, arguments in calls]
+    seconds = [each for each, _, _ in calls]
     missing = [i for i, (kernel, types) in enumerate(signatures) if not _is_compiled(kernel, types)]
     helpers = _processes(len(missing))
     if helpers < 2:
         return
-    with compile_notice.counted(sum(_work(i) for i in missing)) as count:
+    with compile_notice.counted(sum(seconds[i] for i in missing)) as count:
         shares = [missing[k::helpers] for k in range(helpers)]
-        with _helping(dtype, is_disparity, bool(more), shares[1:], count):
+        with _helping(dtype, is_disparity, bool(more), shares[1:], lambda i: count(seconds[i])):
             for i in shares[0]:
                 kernel, types = signatures[i]
                 kernel.compile(types)
-                count(_work(i))
-
-
-def _work(i: int) -> float:
-    """About how long the i-th kernel takes to compile, relative to the others."""
-    return WORK[i] if i < len(WORK) else 1.0
+                count(seconds[i])
 
 
 def _is_compiled(kernel: Any, types: tuple[Any, ...]) -> bool:
@@ -211,8 +198,10 @@ def _processes(missing: int) -> int:
 
 
 @contextlib.contextmanager
-def _helping(dtype: str, is_disparity: bool, everything: bool, shares: list[list[int]], count: Any) -> Iterator[None]:
-    """Let other processes compile their shares meanwhile, and wait for them in the end.
+def _helping(
+    dtype: str, is_disparity: bool, everything: bool, shares: list[list[int]], compiled: Any
+) -> Iterator[None]:
+    """Let other processes compile their shares meanwhile, and wait for them in the end; each call is ``compiled``.
 
     What they can't compile, or if they don't even start, is compiled when it is called.
     """
@@ -234,7 +223,7 @@ def _helping(dtype: str, is_disparity: bool, everything: bool, shares: list[list
         yield
         for process in started:
             for line in process.stdout or ():
-                count(_work(int(line)))
+                compiled(int(line))
             process.wait()
     finally:
         for process in started:
@@ -249,6 +238,6 @@ def compile_share(dtype: str, is_disparity: bool, everything: bool, share: list[
     """Compile some of the kernels, and print a line for each: what a helping process does."""
     calls = _calls(dtype, is_disparity) + (_more_calls(dtype) if everything else [])
     for i in share:
-        kernel, arguments = calls[i]
+        _, kernel, arguments = calls[i]
         kernel.compile(tuple(map(numba.typeof, arguments)))
         print(i, flush=True)

@@ -55,8 +55,8 @@ class Given(NamedTuple):
         shared, alone = np.zeros((count, COLUMNS)), np.zeros(count)
         pixels = moments[:, 0]
         if self.model is not None:
-            of_pixels = *labels, np.uint8(Reason.MISSING), found.moments, moments
-            runs = runs_found(lambda inside: runs_inside(*of_pixels, inside), labels.label.size, count)
+            labelled = *labels, np.uint8(Reason.MISSING), found.moments, moments
+            runs = runs_found(lambda inside: runs_inside(*labelled, inside), labels.label.size, count)
             counts, rays, q = mean_rays("range_explicit", moments.T.copy(), np.zeros((3, count)))
             shared = covariances_by_shape(runs, camera.with_noise(self.model), counts, rays, alpha, with_freedom=False)
             shared[np.isnan(shared[:, EXPECTED])] = 0.0  # without a plane of these pixels: then the frame tells
@@ -143,10 +143,10 @@ _ALONG = 4  # parts along the side of a square
 @functools.cache
 def correlation_table() -> Floats:
     """(2·SIZES + 1, K) float64: see `kernels.segmentation.correlation.mixture`."""
-    of_sizes = [row for size in range(SIZES) for row in _scatter(BLOCK << (SMALLEST + size))]
-    made = np.stack([*of_sizes, 2.0 * np.pi * _LENGTHS**2])
-    made.flags.writeable = False
-    return made
+    scatter = [row for size in range(SIZES) for row in _scatter(BLOCK << (SMALLEST + size))]
+    table = np.stack([*scatter, 2.0 * np.pi * _LENGTHS**2])
+    table.flags.writeable = False
+    return table
 
 
 @np.errstate(under="ignore")  # of errors far apart

@@ -54,22 +54,18 @@ def find_regions(view: View, work: Workspace, least: int) -> tuple[Regions, int]
     grow_together(block, moments[:count], plain(view.noise), plain(view.rules), parent)
     count = renumber_regions(block, parent, moments[:count], 0.0, number)
     regions = Regions(block, moments[:count], number, owners, _no_shares())
-    alpha = np.empty((0, 3))
     for turn in range(rounds + 1):
         regions, touching = _merge_regions(seen, regions, work.contacts, float(least) if turn else 0.0, turn == rounds)
         if turn == rounds:
             break
-        planes, last_alpha = fitted(regions, view), alpha
-        alpha = planes.alpha
+        planes = plain(fitted(regions, view))
         if turn == 1:  # earlier it would spread over what becomes a region of its own
-            spread_out(seen, plain(regions), plain(planes))
-        new = work.shares[turn % 2]
-        many = assign_pixels(
-            seen, plain(regions), plain(planes), work.last_region, last_alpha, plain(work.contended), plain(new)
-        )  # fmt: skip
-        regions = regions._replace(shares=Shares(new.region[:many], new.pixels[:many], new.moments[:many]))
+            spread_out(seen, plain(regions), planes)
+        shares, contended = work.shares, plain(work.contended)
+        many = assign_pixels(seen, plain(regions), planes, work.last_region, contended, plain(shares))
+        regions = regions._replace(shares=Shares(shares.region[:many], shares.pixels[:many], shares.moments[:many]))
         if turn < rounds - 1:
-            move_on(seen, block, work.last_region, alpha)
+            move_on(seen, block, work.last_region, planes[0])
     return regions, touching
 
 

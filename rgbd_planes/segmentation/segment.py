@@ -17,16 +17,26 @@ from rgbd_planes.camera.camera import Camera, check_camera
 from rgbd_planes.camera.depth_frame import DepthFrame, as_depth_frame, step_of
 from rgbd_planes.camera.frame_warnings import warn_of_distances
 from rgbd_planes.kernels.segmentation.blocks.pyramid import read_frame
-from rgbd_planes.kernels.segmentation.components.components import find_parts
-from rgbd_planes.kernels.segmentation.components.labels import leave_out, settle_strays, write_labels
+from rgbd_planes.kernels.segmentation.components.components import judge_parts, measure_parts
+from rgbd_planes.kernels.segmentation.components.labels import leave_out, list_strays, settle_strays, write_labels
 from rgbd_planes.kernels.segmentation.components.occlusion_gaps import join_across_gaps
 from rgbd_planes.kernels.segmentation.components.rim_outliers import release_rims
-from rgbd_planes.kernels.segmentation.components.runs import PIECES
+from rgbd_planes.kernels.segmentation.components.runs import connect
 from rgbd_planes.kernels.segmentation.curved.curved import find_curved
 from rgbd_planes.kernels.segmentation.curved.surfaces import number_surfaces
 from rgbd_planes.kernels.segmentation.evidence.evidence import renumber_labels, weigh_planes
 from rgbd_planes.kernels.segmentation.model.planes import describe_planes
-from rgbd_planes.kernels.segmentation.model.records import Found, Labels, Rays, Reasons, Regions, Rules, View, plain
+from rgbd_planes.kernels.segmentation.model.records import (
+    Found,
+    Labels,
+    Parts,
+    Rays,
+    Reasons,
+    Regions,
+    Rules,
+    View,
+    plain,
+)
 from rgbd_planes.kernels.segmentation.noise.correlation import shared_by_planes
 from rgbd_planes.kernels.segmentation.noise.estimate import nearest_surface
 from rgbd_planes.kernels.segmentation.noise.frame_noise import FLATNESS
@@ -160,16 +170,16 @@ def _segment(
     view = View(inverse_depth, rays, pyramid, noise, rules._replace(tolerance=about_noise.tolerance), work.sensor)
     regions, touching = find_regions(view, work, min(min_size, MIN_SIZE))
     curved, deviation = np.empty(len(regions.moments), np.bool_), np.empty(len(regions.moments))
-    of_regions = plain(fitted(regions, view))
+    seen, contacts, planes_of_regions = plain(view), plain(work.contacts), plain(fitted(regions, view))
     find_curved(
-        plain(view), plain(regions), of_regions, plain(work.contacts), touching, about_noise.is_exact, curved, deviation
+        seen, plain(regions), planes_of_regions, contacts, touching, about_noise.is_exact, curved, deviation
     )  # fmt: skip
     labels = Labels(aligned(camera.shape, np.int32), aligned(camera.shape, np.uint8))
     found = _find_planes(view, regions, curved, deviation, min_size, labels, work)
     found, evidence = _keep_evident(view, labels, found)
     curved_labels = np.zeros(camera.shape, np.int32)
     if curved.any():
-        number_surfaces(plain(view), labels.reason, _REASONS.curved, min_size, curved_labels)
+        number_surfaces(seen, labels.reason, _REASONS.curved, min_size, curved_labels)
     together = noise.together
     if given.is_sensors and together > 1.0:
         together = shared_by_planes(together, pyramid, labels.label, inverse_depth)
@@ -214,18 +224,29 @@ def _find_planes(
     work: Workspace,
 ) -> Found:
     """Find the connected parts of regions that are planes, fit these, and write their labels."""
-    work.make_room(regions.owners.block.size + PIECES * len(regions.shares.region))
-    seen, runs, found, its = plain(view), plain(work.runs), work.found, plain(labels)
-    planes, parts, loose = find_parts(
-        seen, plain(regions), curved, deviation, min(min_size, MIN_SIZE), plain(_REASONS), runs, plain(found)
+    seen, runs, least = plain(view), plain(work.runs), min(min_size, MIN_SIZE)
+    runs_found, count = connect(plain(regions), labels.label, runs)
+    parts = Parts(np.empty((count, 10)), np.empty(count), *np.empty((4, count), np.int64))
+    measure_parts(seen, runs, runs_found, regions.moments, plain(parts))
+    why, number, chosen = np.empty(count, np.uint8), np.empty(count, np.int32), np.empty(count, np.int64)
+    planes = judge_parts(
+        plain(parts), curved, deviation, seen[4], least, plain(_REASONS), why, number, chosen
     )  # fmt: skip
-    found = found.first(planes, parts)
-    found = found.first(join_across_gaps(seen, runs, plain(found)), parts)
-    found = found.first(leave_out(len(found.moments), min_size, _REASONS.small, runs, plain(found)), parts)
-    loose = write_labels(view.inverse_depth, runs, plain(found), plain(_REASONS), loose, its)
-    release_rims(seen, plain(regions.shares), runs, plain(found), loose, min_size, _REASONS.unclaimed, its)
-    fit_interior(seen, its, _REASONS.missing, plain(found))
-    settle_strays(view.inverse_depth, runs, plain(found), loose, _REASONS.unclaimed, min_size, its)
+    chosen = chosen[:planes]
+    moments, deviation = parts.moments[chosen], deviation[parts.region[chosen]]
+    planes = join_across_gaps(seen, runs, runs_found, number, moments, deviation)
+    planes = leave_out(min_size, _REASONS.small, number, why, moments[:planes], deviation[:planes])
+    moments, deviation = moments[:planes], deviation[:planes]
+    write_labels(view.inverse_depth, runs, number, why, plain(_REASONS), *labels)
+    strays = list_strays(plain(_REASONS), *labels, work.strays)
+    owners, shares = plain(regions.owners), plain(regions.shares)
+    release_rims(seen, owners, shares, moments, deviation, min_size, _REASONS.unclaimed, *labels)
+    found = Found(
+        moments, deviation, np.empty((planes, 10)), np.empty((planes, 3)), np.empty(planes), np.empty((planes, 5)),
+        np.append(0, moments[:, 0]).astype(np.int32),
+    )  # fmt: skip
+    fit_interior(seen, plain(labels), _REASONS.missing, plain(found))
+    settle_strays(plain(_REASONS), min_size, *labels, found.size, work.strays, strays)
     return found
 
 

@@ -16,7 +16,6 @@ from rgbd_planes.kernels.segmentation.model.records import (
     BLOCK,
     Contacts,
     Contended,
-    Found,
     Owners,
     Pyramid,
     Rays,
@@ -51,7 +50,7 @@ def rays_of(camera: Camera) -> Rays:
         pitch_x=1.0 / camera.fx,
         pitch_y=1.0 / camera.fy,
         lens=lens,
-        stretch=np.concatenate([of_level.ravel() for of_level in stretches]),
+        stretch=np.concatenate([level.ravel() for level in stretches]),
     )
 
 
@@ -86,37 +85,14 @@ class Workspace:
         self.region, self.last_region = np.empty((2, *self.blocks), np.int32)
         self.region_moments = np.empty((blocks, 10))
         most = NEIGHBOURS * blocks  # of which hardly a tenth is ever touched
-        self.shares = [Shares(np.empty(most, np.int32), np.empty(most, np.int32), np.empty((most, 10))) for _ in "ab"]
+        self.shares = Shares(np.empty(most, np.int32), np.empty(most, np.int32), np.empty((most, 10)))
         self.contacts = Contacts(
             np.empty((4 * blocks + 1, 3), np.int32),
             np.empty((4 * blocks, 3)),
             np.zeros(1 << (4 * blocks).bit_length(), np.int32),
         )
-        self.loose = np.empty(pixels, np.int32)
-        self.runs, self.found = self._room_for(3 * blocks)
-
-    def make_room(self, runs: int) -> None:
-        """Have room for so many runs, and for as many parts and planes; if there is not, for twice so many."""
-        if runs > len(self.runs.start):  # there are more edges than in any frame before
-            self.runs, self.found = self._room_for(2 * runs)
-
-    def _room_for(self, runs: int) -> tuple[Runs, Found]:
-        return (
-            Runs(np.empty(self.blocks[0] + 1, np.int32), *(np.empty(runs, np.int32) for _ in Runs._fields[1:])),
-            Found(
-                number=np.empty(runs, np.int32),
-                why=np.empty(runs, np.uint8),
-                stray=np.empty(runs, np.bool_),
-                moments=np.empty((runs, 10)),
-                deviation=np.empty(runs),
-                inside=np.empty((runs, 10)),
-                alpha=np.empty((runs, 3)),
-                rss=np.empty(runs),
-                weighted=np.empty((runs, 5)),
-                size=np.empty(runs + 1, np.int32),
-                loose=self.loose,
-            ),
-        )
+        self.strays = np.empty(pixels, np.int32)
+        self.runs = Runs(np.empty(camera.height + 1, np.int32), *np.empty((7, pixels), np.int32))
 
 
 class Workspaces(threading.local):

@@ -4,30 +4,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import ndimage
 from segment_frames import CAMERA, blocks_and_squares, inside
 
 from rgbd_planes import Camera, segment
 from rgbd_planes.camera.depth_frame import as_depth_frame
 from rgbd_planes.evaluation import scenes
-from rgbd_planes.kernels.segmentation.assign.assign_pixels import take_over
-from rgbd_planes.kernels.segmentation.assign.whole_blocks import ALONE, DONE, OPEN, SAME, keep_unchanged
 from rgbd_planes.kernels.segmentation.blocks.pyramid import read_frame
 from rgbd_planes.kernels.segmentation.blocks.quadtree import find_planar
-from rgbd_planes.kernels.segmentation.components.labels import is_lone, leave_out, settle_strays
+from rgbd_planes.kernels.segmentation.components.labels import leave_out, list_strays, settle_strays
 from rgbd_planes.kernels.segmentation.merge.merge import number_regions
-from rgbd_planes.kernels.segmentation.model.records import (
-    BLOCK,
-    MIXED,
-    Found,
-    Labels,
-    Owners,
-    Planes,
-    Rays,
-    Rules,
-    Runs,
-    Shares,
-)
+from rgbd_planes.kernels.segmentation.model.records import BLOCK, Rays, Reasons, Rules, plain
 from rgbd_planes.kernels.segmentation.refit.interior import interior_moments
 from rgbd_planes.segmentation.frame_noise import noise_of
 from rgbd_planes.segmentation.segment import _given
@@ -158,101 +144,65 @@ def test_pixels_inside_are_those_whose_neighbours_are_alike(height, width, seed,
             np.testing.assert_allclose(row, moments(own), rtol=1e-9, atol=1e-9)
 
 
-def test_blocks_are_left_alone_where_nothing_around_them_has_changed(rng):
-    """No region and no plane. Others keep what is to be done with them; but what may get another owner is OPEN."""
-    region = np.kron(np.arange(-1, 5).reshape(2, 3), np.ones((30, 27), int))[:, :80].astype(np.int32)
-    number = np.array([4, 0, 1, 2, 3, -1])  # of the regions before: they are in another order, and one is dropped
-    before = np.where(region < 0, -1, np.argsort(number[:5])[region]).astype(np.int32)
-    changed = rng.random(before.shape) < 0.01
-    before[changed] = np.where(before[changed] < 0, 2, -1)
-    before[:9, :9] = 5
-    changed[:9, :9] = True
-    alpha = rng.normal(1.0, 0.1, (5, 3))
-    last_alpha = alpha[number]
-    last_alpha[:5, 2] += [1e-4, 1e-4, 5e-4, -1e-4, -1e-4]  # in quarters of a deviation: one moves by two
-    changed |= before == 2
-    planes = Planes(alpha, np.zeros(5), np.ones(5), np.ones(5), np.ones(1))
-    moments = np.ones((5, 10))
-    sigma = np.array([10.0, *[1e-3] * 3])
-    task = rng.choice([OPEN, ALONE, DONE], before.shape).astype(np.int8)
-    owner = rng.choice([0, MIXED], before.shape).astype(np.int32)
-    became = np.where(before < 0, -1, number[before])
-    looked_at = np.where((task == ALONE) & ((owner == MIXED) | (region != became)), OPEN, task)  # it may get another
-    kept = np.where(owner == MIXED, SAME, DONE)
-    expected = np.where(ndimage.binary_dilation(changed, np.ones((3, 3))), looked_at, kept)
-    keep_unchanged(region, before, number, planes, last_alpha, sigma, rays_of(CAMERA), moments, owner, task)
-    np.testing.assert_array_equal(task, expected)
+REASONS = plain(Reasons(*np.arange(7, dtype=np.uint8)))
+UNCLAIMED = Reasons._fields.index("unclaimed")
 
 
-def test_shares_of_regions_that_have_become_one_are_one():
-    """Of three regions in the first block two are one now; of two in the second one is dropped."""
-    number = np.array([4, 4, 7, -1])
-    owners = Owners(*np.array([[[MIXED, MIXED]], [[0, 3]], [[3, 2]], [[0, 0]]], np.int32))
-    moments = np.arange(50.0).reshape(5, 10)
-    shares = Shares(np.array([0, 2, 1, 3, 0], np.int32), np.array([1, 2, 4, 8, 16], np.int32), moments)
-    new = Shares(np.empty(5, np.int32), np.empty(5, np.int32), np.empty((5, 10)))
-    assert take_over(np.arange(2, dtype=np.int32), number, owners, shares, new) == 3
-    assert (owners.first.tolist(), owners.count.tolist()) == ([[0, 2]], [[2, 1]])
-    assert (new.region[:3].tolist(), new.pixels[:3].tolist()) == ([4, 7, 4], [1 + 4, 2, 16])
-    np.testing.assert_array_equal(new.moments[:3], [moments[0] + moments[2], moments[1], moments[4]])
-
-
-def settled(label, reason, loose):
-    """Settle the loose pixels; returns the sizes of the labels."""
-    sizes = np.bincount(label.ravel())
-    parts, planes, moments = np.empty(0, np.int32), np.empty(0), np.zeros((len(sizes) - 1, 10))
-    moments[:, 0] = sizes[1:]
-    found = Found(
-        parts, parts.astype(np.uint8), parts.astype(bool), moments, planes, moments, moments[:, :3].copy(), planes,
-        moments[:, :5].copy(), np.zeros(len(sizes), np.int32), np.append(loose, np.zeros(9, np.int32)),
-    )  # fmt: skip
-    runs = Runs(np.zeros(len(label) // BLOCK + 1, np.int32), *[np.empty(0, np.int32)] * 11)
-    settle_strays(np.ones(label.shape, np.float32), runs, found, len(loose), np.uint8(2), 3, Labels(label, reason))
-    return found.size
+def settled(label, reason, least=1000):
+    """Settle the strays, and what is alone in labels of more than ``least`` pixels; returns the sizes of the labels."""
+    sizes = np.bincount(label.ravel()).astype(np.int32)
+    places = np.empty(label.size, np.int32)
+    settle_strays(REASONS, least, label, reason, sizes, places, list_strays(REASONS, label, reason, places))
+    return sizes
 
 
 def test_pixels_at_the_rim_of_the_image_get_no_label_from_its_other_side():
     """Of five without a label the one that has eight neighbours gets theirs."""
     label, reason = np.ones((8, 12), np.int32), np.zeros((8, 12), np.uint8)
-    loose = np.ravel_multi_index(([0, 7, 3, 3, 3], [5, 5, 0, 11, 5]), label.shape).astype(np.int32)
-    label.flat[loose], reason.flat[loose] = 0, 2
-    sizes = settled(label, reason, loose)
-    assert label.flat[loose].tolist() == [0, 0, 0, 0, 1]
-    assert reason.flat[loose].tolist() == [2, 2, 2, 2, 0]
+    loose = [0, 7, 3, 3, 3], [5, 5, 0, 11, 5]
+    label[loose], reason[loose] = 0, UNCLAIMED
+    sizes = settled(label, reason)
+    assert label[loose].tolist() == [0, 0, 0, 0, 1]
+    assert (reason[loose] == UNCLAIMED).tolist() == [True] * 4 + [False]
     assert sizes[1] == 92
 
 
-def test_a_pixel_gets_the_label_that_five_of_the_eight_around_it_have():
-    """One after the other, but no more than two in a row: what is loose in the open stays."""
+@pytest.mark.parametrize("why", ["unclaimed", "small", "narrow", "curved", "missing"])
+def test_a_pixel_gets_the_label_that_five_of_the_eight_around_it_have(why):
+    """One after the other, but no more than two in a row; what is curved or missing gets none."""
     label = np.zeros((12, 16), np.int32)
     label[1, 1:4] = label[2, 1] = label[3, 1] = 1  # five around (2, 2)
     label[1, 7:10] = label[2, 7] = 1  # four around (2, 8)
     label[7, 3:8] = label[8, 3] = label[9, 5] = 2  # five around (8, 4), and four around the two pixels beside it
-    reason = np.where(label > 0, 0, 2).astype(np.uint8)
-    loose = np.ravel_multi_index(([2, 2, 8, 8, 8], [2, 8, 4, 5, 6]), label.shape).astype(np.int32)
-    sizes = settled(label, reason, loose)
-    assert label.flat[loose].tolist() == [1, 0, 2, 2, 0]
-    assert reason.flat[loose].tolist() == [0, 2, 0, 0, 2]
-    assert sizes[1:].tolist() == [10, 9]
+    is_stray = why not in ("curved", "missing")
+    reason = np.where(label > 0, 0, Reasons._fields.index("curved")).astype(np.uint8)
+    loose = [2, 2, 8, 8, 8], [2, 8, 4, 5, 6]
+    reason[loose] = Reasons._fields.index(why)
+    sizes = settled(label, reason)
+    assert label[loose].tolist() == ([1, 0, 2, 2, 0] if is_stray else [0] * 5)
+    assert (reason[loose] == 0).tolist() == (label[loose] > 0).tolist()
+    assert sizes[1:].tolist() == ([10, 9] if is_stray else [9, 7])
 
 
 @pytest.mark.parametrize(
-    ("around", "lone"),
+    ("around", "alone"),
     [
-        ("aaa bbb bbb", True),
-        ("aaa aaa bbb", False),
-        ("aab bab bbb", True),
+        ("bab bab bbb", True),
         ("aab aab bbb", False),
         ("--a -a- -ab", False),  # of one label there are more than of others
         ("--a -ab -ab", False),
-        ("-ba -ab -ab", True),
+        ("-ba -ab -bb", True),
     ],
 )
-def test_pixels_stand_alone_among_few_of_their_label_and_as_many_others(around, lone):
+@pytest.mark.parametrize("least", [3, 1000])
+def test_pixels_are_alone_among_few_of_their_label_and_more_others(around, alone, least):
     seen = np.array([list(line) for line in around.split()])
-    labels, q = np.zeros((5, 6), np.int32), np.zeros((5, 6), np.float32)
-    labels[1:4, 2:5], q[1:4, 2:5] = np.where(seen == "a", 3, 1), seen != "-"
-    assert is_lone(labels.ravel(), q, np.int32(2 * 6 + 3), np.int32(3)) == lone
+    label, reason = np.full((9, 10), 3, np.int32), np.zeros((9, 10), np.uint8)
+    label[1:6, 2:7] = 1
+    label[2:5, 3:6] = np.choose((seen == "a") + 2 * (seen == "-"), [1, 3, 0])
+    reason[2:5, 3:6] = np.where(seen == "-", Reasons._fields.index("missing"), 0)
+    settled(label, reason, least)
+    assert (label[3, 4] == 3) == (not alone or least == 1000)
 
 
 def test_planes_that_are_left_keep_what_is_theirs():
@@ -261,10 +211,7 @@ def test_planes_that_are_left_keep_what_is_theirs():
     moments[:, 0] = 50.0, 10.0, 30.0, 29.0
     before = moments.copy()
     number, why = np.array([2, 1, 3, 0, 2, 4], np.int32), np.array([0, 0, 0, 5, 0, 0], np.uint8)
-    runs = Runs(np.zeros(4, np.int32), *[np.empty(0, np.int32)] * 11)
-    others = moments.copy(), moments[:, :3].copy(), deviation.copy(), moments[:, :5].copy(), np.zeros(5, np.int32)
-    found = Found(number, why, number > 9, moments, deviation, *others, np.empty(0, np.int32))
-    assert leave_out(4, 30, np.uint8(7), runs, found) == 2
+    assert leave_out(30, np.uint8(7), number, why, moments, deviation) == 2
     assert number.tolist() == [0, 1, 2, 0, 0, 0]
     assert why.tolist() == [7, 0, 0, 5, 7, 7]
     np.testing.assert_array_equal(moments[:2], before[[0, 2]])

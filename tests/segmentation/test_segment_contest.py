@@ -1,14 +1,12 @@
-"""Segmentation: who contends for a block, how contenders are weighed, and what changes hands, against plain NumPy."""
+"""Segmentation: who contends for a block, how contenders are weighed, and what regions have, against plain NumPy."""
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from segment_frames import CAMERA
 
 from rgbd_planes import Camera, scenes, segment
 from rgbd_planes.kernels.segmentation.assign.contested_blocks import LANES, NEIGHBOURS, contenders, weigh_contenders
-from rgbd_planes.kernels.segmentation.assign.whole_blocks import add_shares, add_up, hand_out, take_back
+from rgbd_planes.kernels.segmentation.assign.whole_blocks import add_up
 from rgbd_planes.kernels.segmentation.model.records import EMPTY, MIXED, Owners, Pyramid, Shares
 from rgbd_planes.segmentation import regions as rounds
 from rgbd_planes.segmentation.workspace import rays_of
@@ -51,68 +49,11 @@ def test_contenders_are_weighed_by_their_variance():
     assert penalty[:NEIGHBOURS] == pytest.approx(np.log(variance.astype(np.float64)), abs=1e-5)
 
 
-ROWS, COLUMNS, REGIONS = 4, 8, 5
+REGIONS = 5
 
 
-def some_owners(rng):
-    """Owners of blocks, and shares in those that are MIXED."""
-    owner = rng.integers(-1, REGIONS, (ROWS, COLUMNS))
-    owner = np.where(owner < 0, MIXED, owner).astype(np.int32)
-    owner[0, :2] = EMPTY
-    count = np.where(owner == MIXED, rng.integers(0, 4, owner.shape), 0).astype(np.int32)
-    first = (np.cumsum(count.ravel()) - count.ravel()).reshape(owner.shape).astype(np.int32)
-    total = int(count.sum())
-    shares = Shares(rng.integers(0, REGIONS, total).astype(np.int32), np.ones(total, np.int32), rng.random((total, 10)))
-    return Owners(owner, first, count, np.zeros_like(owner)), shares
-
-
-def what_regions_have(of_block, owners, shares, number):
-    moments = np.zeros((REGIONS, 10))
-    for a in range(REGIONS):
-        if number[a] >= 0:
-            moments[number[a]] += of_block[:, owners.block.ravel() == a].sum(axis=1)
-            moments[number[a]] += shares.moments[shares.region == a].sum(axis=0)
-    return moments
-
-
-@settings(max_examples=40)
-@given(st.integers(0, 2**32 - 1), st.floats(0.0, 1.0))
-def test_regions_have_what_they_had_but_for_what_changes_hands(seed, opened):
-    """Regions are renumbered meanwhile, two become one, and one is dropped."""
-    rng = np.random.default_rng(seed)
-    blocks = ROWS * COLUMNS
-    of_block = rng.random((10, blocks))
-    owners, shares = some_owners(rng)
-    number = np.array([3, 0, 0, -1, 1])
-    moments = what_regions_have(of_block, owners, shares, number)
-
-    after, handed = some_owners(rng)
-    is_open = rng.random(blocks) < opened
-    is_open |= (owners.block.ravel() == MIXED) | (after.block.ravel() == MIXED)
-    is_open &= owners.block.ravel() != EMPTY
-    is_open |= owners.block.ravel() == 3  # the dropped one's
-    renumbered = np.where(owners.block.ravel() >= 0, number[owners.block.ravel()], owners.block.ravel())
-    after.block.ravel()[~is_open] = renumbered[~is_open]  # others stay whose they are
-    stays = rng.random(blocks) < 0.3  # and some that are looked at
-    stays &= renumbered >= 0
-    after.block.ravel()[stays] = renumbered[stays]
-    after.count[after.block != MIXED] = 0
-    in_use = np.concatenate(
-        [np.arange(f, f + c) for f, c in zip(after.first.ravel(), after.count.ravel(), strict=True)]
-    ).astype(int)
-    handed = Shares(*(field[in_use] for field in handed))
-
-    listed, had = np.flatnonzero(is_open).astype(np.int32), np.empty(is_open.sum(), np.int32)
-    pyramid = Pyramid(of_block, *[np.empty(0)] * 4)
-    take_back(listed, number, owners, shares, moments, had)
-    hand_out(listed, had, pyramid, after, moments)
-    add_shares(handed, 0, len(in_use), moments)
-    expected = what_regions_have(of_block, after, handed, np.arange(REGIONS))
-    np.testing.assert_allclose(moments, expected, atol=1e-12)
-
-
-def test_in_the_first_round_all_that_regions_have_is_added_up(rng):
-    """From blocks, and from squares of 2x2 and 4x4 of them that one region has."""
+def test_all_that_regions_have_is_added_up(rng):
+    """From blocks, from squares of 4x4 of them that one region has, and from shares."""
     shapes = np.array([[8, 12], [4, 6], [2, 3], [1, 2]])
     levels = [rng.random((10, 8, 12))]
     for rows, columns in shapes[1:3]:
@@ -123,12 +64,11 @@ def test_in_the_first_round_all_that_regions_have_is_added_up(rng):
     owner[:4, :4] = np.kron(rng.integers(0, REGIONS, (2, 2)), np.ones((2, 2), int))
     owner[4:6, 5:7] = MIXED, EMPTY
     shares = Shares(np.array([2, 1, 2], np.int32), np.ones(3, np.int32), rng.random((3, 10)))
-    owners = Owners(owner, *np.zeros((3, 8, 12), np.int32))
     moments = np.full((REGIONS, 10), np.nan)
-    add_up(Pyramid(sums, np.empty(0), np.empty(0), offsets, shapes), owners, moments)
-    add_shares(shares, 0, 2, moments)
-    counted = Shares(*(field[:2] for field in shares))
-    expected = what_regions_have(sums[:, : owner.size], owners, counted, np.arange(REGIONS))
+    add_up(Pyramid(sums, np.empty(0), np.empty(0), offsets, shapes), owner, shares, 2, moments)
+    expected = np.array([sums[:, : owner.size][:, owner.ravel() == a].sum(axis=1) for a in range(REGIONS)])
+    expected[2] += shares.moments[0]
+    expected[1] += shares.moments[1]
     np.testing.assert_allclose(moments, expected, rtol=1e-12)
 
 

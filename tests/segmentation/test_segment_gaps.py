@@ -4,16 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.ndimage import find_objects
 from segment_frames import CAMERA
 
 from rgbd_planes import Camera, fit_labels, segment
 from rgbd_planes._core.status import Reason
 from rgbd_planes.evaluation import scenes
 from rgbd_planes.evaluation.metrics import compare_labels
-from rgbd_planes.kernels.segmentation.components.occlusion_gaps import find_coplanar, label_boxes
+from rgbd_planes.kernels.segmentation.components.occlusion_gaps import find_coplanar
 from rgbd_planes.kernels.segmentation.merge.contacts import contract, neighbours
-from rgbd_planes.kernels.segmentation.model.records import Runs
 from rgbd_planes.segmentation.workspace import Workspace, rays_of
 
 
@@ -141,9 +139,8 @@ def test_what_a_grid_leaves_of_a_wall_is_compared_with_what_is_beside_it():
     u, v = np.meshgrid(np.linspace(-0.02, 0.02, 12), np.linspace(-0.02, 0.02, 12))
     terms = np.stack([np.ones(u.size), u.ravel(), v.ravel(), np.full(u.size, 0.5)])
     moments = np.tile((terms @ terms.T)[np.triu_indices(4)], (side * side, 1))
-    box = np.zeros((side * side + 1, 4), np.int64)
     row, column = np.divmod(np.arange(side * side), side)
-    box[1:] = np.stack([4 * row, 4 * row + 3, 4 * column, 4 * column + 3], axis=1)
+    box = 4 * np.stack([4 * row, 4 * row + 3, 4 * column, 4 * column + 3], axis=1)
     pairs = np.zeros((side**4, 2), np.int64)
     alpha, deviation = np.tile([0.0, 0.0, 0.5], (side * side, 1)), np.full(side * side, 1e-3)
     count = find_coplanar(moments, alpha, deviation, box, 2.0, 30.0, pairs)
@@ -323,18 +320,3 @@ def test_a_thin_faint_plane_with_holes_keeps_the_blocks_of_which_it_has_some():
 def test_a_wall_does_not_keep_the_blocks_of_a_thin_plane():
     # It has a quarter of many of them. Where it keeps these, five of six are found.
     assert share_of_strips(5, 20.0, 0.0) > 0.88
-
-
-def test_boxes_of_labels_reach_to_the_edges():
-    rng = np.random.default_rng(4)
-    labels = np.kron(rng.integers(1, 9, (5, 7)), np.ones((3, 2), np.int32)).astype(np.int32)
-    starts = [np.flatnonzero(np.diff(row, prepend=0)) for row in labels]
-    first = np.cumsum([0, *map(len, starts)])
-    stops = [np.append(start[1:], labels.shape[1]) for start in starts]
-    values = [row[start] for row, start in zip(labels, starts, strict=True)]
-    some = [np.concatenate(of).astype(np.int32) for of in (starts, stops, values)]
-    box = np.zeros((9, 4), np.int64)
-    start, stop, value = some
-    label_boxes(Runs(first.astype(np.int32), start, stop, start, start, value, *[start] * 6), box)
-    for label, (down, across) in enumerate(find_objects(labels), start=1):
-        assert box[label].tolist() == [down.start, down.stop, across.start, across.stop]

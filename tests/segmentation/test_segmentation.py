@@ -17,7 +17,7 @@ from rgbd_planes._core.status import Reason
 from rgbd_planes.evaluation import scenes
 from rgbd_planes.evaluation.metrics import compare_labels, plane_errors
 from rgbd_planes.noise import kinect_v1
-from rgbd_planes.segmentation.workspace import Workspace, rays_of, workspaces
+from rgbd_planes.segmentation.workspace import Workspace, rays_of
 
 
 @pytest.mark.parametrize("distortion", [(), (0.1, -0.05, 0.001, -0.001, 0.01)])
@@ -427,19 +427,6 @@ OF_NEIGHBOURS = "rp.noise.NoiseModel((1.4e-3,), correlation=((0.5, 3.0),), floor
 def test_an_interrupt_at_any_time_is_one(work, noise):
     """Numba does not expect one where it calls Python, to make an array or a tuple: the process would crash."""
     assert printed_by(INTERRUPTED.format(work=work, noise=noise), timeout=600.0).split() == ["True", "True"]
-
-
-def test_a_frame_with_more_edges_than_there_is_room_for(monkeypatch):
-    camera = Camera(160, 120, 131.25, 131.25, 79.5, 59.5, depth_scale=1000.0)
-    depth = scenes.room().render(camera).measure(holes=0.05, seed=1)
-    wanted = segment(depth, camera)
-    work = Workspace(camera)
-    work.runs, work.found = work._room_for(1)
-    monkeypatch.setattr(workspaces, "_kept", [work])
-    found = segment(depth, camera)
-    assert len(work.runs.start) > 1
-    assert np.array_equal(found.labels, wanted.labels)
-    assert np.array_equal(found.planes, wanted.planes)
 
 
 @pytest.mark.parametrize(("rows", "columns"), [(40, 50), (6, 6)])

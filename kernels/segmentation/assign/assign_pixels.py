@@ -24,22 +24,11 @@ from .contested_blocks import (
     share_out,
     weigh_contenders,
 )
-from .whole_blocks import (
-    OPEN,
-    SAME,
-    SPARSE,
-    add_shares,
-    add_up,
-    give_whole,
-    hand_out,
-    keep_unchanged,
-    look_around,
-    take_back,
-)
+from .whole_blocks import SPARSE, add_up, give_whole
 
 
 @kernel()
-def assign_pixels(view, regions, planes, before, last_alpha, contended, new):
+def assign_pixels(view, regions, planes, before, contended, new):
     """Give each pixel to a region, or to none, and sum the moments of what each region owns.
 
     Parameters
@@ -48,15 +37,11 @@ def assign_pixels(view, regions, planes, before, last_alpha, contended, new):
         A region contends for a pixel within ``reach_deviations`` of its plane. Two planes meet where both fit a
         pixel's neighbourhood within ``fit_deviations``. A block without rivals goes whole to a region that fits it so.
     regions : Regions
-        ``block`` becomes the region that owns most of its pixels, ``owners`` those of this round. ``moments`` are those
-        of what regions had after the last round: what changes hands is taken out and put in. In the first round they
-        are summed up anew.
+        ``block`` becomes the region that owns most of its pixels; ``owners`` and ``moments`` are written.
     planes : Planes
         Of the regions: see `planes.fit_regions`.
-    before : (R, C) int32
-        ``regions.block`` before the last round; on return, before this one.
-    last_alpha : (M, 3) float64
-        ``planes.alpha`` in the last round; (0, 3) in the first.
+    before : (R, C) int32, written
+        ``regions.block`` before this round.
     contended : Contended
         Room for as many blocks as there are, and NEIGHBOURS regions for each.
     new : Shares, written
@@ -68,99 +53,38 @@ def assign_pixels(view, regions, planes, before, last_alpha, contended, new):
         Their number.
     """
     view, regions = as_view(view), as_regions(regions)
-    planes, contended = Planes(*planes), Contended(*contended)
-    inverse_depth, rays, pyramid, noise, rules, sensor = view
-    region, region_moments, number, owners, shares = regions
-    sigma, is_first = noise.sigma, len(last_alpha) == 0
-    rows, columns = region.shape
-    task = np.empty((rows, columns), np.int8)
-    look_around(region, owners.block, task)
-    if not is_first:
-        keep_unchanged(region, before, number, planes, last_alpha, sigma, rays, region_moments, owners.block, task)
-    for row in range(rows):
+    planes, contended, new = Planes(*planes), Contended(*contended), Shares(*new)
+    inverse_depth, rays, pyramid, _, rules, sensor = view
+    region, region_moments, _, owners, _ = regions
+    for row in range(len(region)):
         copy(region[row], before[row])
-    give_whole(pyramid, sensor, region, planes, rules.fit_deviations, task, owners)
-    opened, same = list_blocks(task, OPEN), list_blocks(task, SAME)
-    open_count = len(opened)
-    sparse, had = np.empty(open_count, np.int32), np.empty(open_count, np.int32)
-    if not is_first:
-        take_back(opened, number, owners, shares, region_moments, had)
-    sparse_count, count, _ = decide(
-        opened, rays, before, pyramid, sensor, planes, rules, region, owners, contended, sparse
-    )
-    new = Shares(*new)
-    put = carried = take_over(same, number, owners, shares, new)
-    put = share_sparse(sparse[:sparse_count], inverse_depth, pyramid, region, owners, new, put)
+    give_whole(pyramid, sensor, region, planes, rules.fit_deviations, owners.block)
+    sparse = np.empty(region.size, np.int32)
+    sparse_count, count = decide(rays, before, pyramid, sensor, planes, rules, region, owners, contended, sparse)
+    put = share_sparse(sparse[:sparse_count], inverse_depth, pyramid, region, owners, new)
     put = contest(
         contended, count, inverse_depth, rays, before, pyramid, sensor, planes, rules, region, owners, new, put
-    )
-    if is_first:
-        add_up(pyramid, owners, region_moments)
-    else:
-        hand_out(opened, had, pyramid, owners, region_moments)
-    add_shares(new, carried, put, region_moments)  # those of blocks that stay the SAME are in
+    )  # fmt: skip
+    add_up(pyramid, owners.block, new, put, region_moments)
     return put
 
 
 @kernel()
-def list_blocks(task, chosen):
-    """The blocks that have a task, row · C + column."""
-    tasks = task.reshape(-1)
-    listed, count = np.empty(len(tasks) + 1, np.int32), 0
-    for i in range(len(tasks)):  # without branches, which no processor could predict
-        listed[count] = i
-        count += tasks[i] == chosen
-    return listed[:count]
-
-
-@kernel(arrays=False)
-def take_over(blocks, number, owners, shares, new):
-    """Take over the shares of blocks that stay the SAME, by their regions' new ``number``; returns their count."""
-    first, shares_of = owners.first.reshape(-1), owners.count.reshape(-1)
-    region, pixels, moments = shares
-    new_region, new_pixels, new_moments = new
-    count = 0
-    for i in blocks:
-        start = count
-        for s in range(first[i], first[i] + shares_of[i]):
-            a = number[region[s]]
-            if a < 0:
-                continue
-            k = start
-            while k < count and new_region[k] != a:  # regions that have become one
-                k += 1
-            if k == count:
-                new_region[k], new_pixels[k] = a, pixels[s]
-                for j in range(10):
-                    new_moments[k, j] = moments[s, j]
-                count += 1
-                continue
-            new_pixels[k] |= pixels[s]
-            for j in range(10):
-                new_moments[k, j] += moments[s, j]
-        first[i] = start
-        shares_of[i] = count - start
-    return count
-
-
-@kernel()
-def decide(blocks, rays, before, pyramid, sensor, planes, rules, region, owners, contended, sparse):
-    """Give blocks whole to a region without rivals, if they fit it; list the others.
+def decide(rays, before, pyramid, sensor, planes, rules, region, owners, contended, sparse):
+    """Give MIXED blocks whole to a region without rivals, if they fit it; list the others.
 
     Parameters
     ----------
-    blocks : (K,) int32
-        Those that are OPEN, row · C + column.
     rays, before, pyramid, sensor, planes, rules, region, owners
         As in `assign_pixels`.
     contended : Contended, written
-    sparse : (K,) int32, written
+    sparse : (R·C,) int32, written
         The first are those that went whole to a region with few measured pixels: see `share_sparse`.
 
     Returns
     -------
     tuple of int
-        Numbers of these sparse blocks, of contended ones, and of contenders.
+        Numbers of these sparse blocks, and of contended ones.
     """
     rows, columns = region.shape
     # With a rim of no regions.
@@ -177,9 +101,10 @@ def decide(blocks, rays, before, pyramid, sensor, planes, rules, region, owners,
     # Of fixed sizes: see `kernels`.
     candidate, centre = np.empty(NEIGHBOURS, np.int64), np.empty((NEIGHBOURS, 3))
     sparse_count = count = listed = 0
-    for k in range(len(blocks)):
-        here = blocks[k]
+    for here in range(rows * columns):
         row, column = place(here, columns)
+        if owner[row, column] != MIXED:
+            continue
         pixels = block_moments[0, here]
         contending = contenders(around, row, column, centre_u, centre_v, candidate, centre)
         a = candidate[0] if contending == 1 else np.int64(before[row, column])
@@ -195,7 +120,6 @@ def decide(blocks, rays, before, pyramid, sensor, planes, rules, region, owners,
             sparse[sparse_count] = here
             sparse_count += pixels <= SPARSE
             continue
-        owner[row, column] = MIXED
         block[count], many[count], first[count] = here, contending, listed
         for i in range(contending):
             all_candidates[listed] = candidate[i]
@@ -203,20 +127,18 @@ def decide(blocks, rays, before, pyramid, sensor, planes, rules, region, owners,
                 all_centres[listed, j] = centre[i, j]
             listed += 1
         count += 1
-    return sparse_count, count, listed
+    return sparse_count, count
 
 
 @kernel(arrays=False)
-def share_sparse(blocks, inverse_depth, pyramid, region, owners, shares, put):
-    """Turn mostly missing whole blocks into shares of their measured pixels.
-
-    The shares are added after the first ``put``; returns how many there are then.
-    """
+def share_sparse(blocks, inverse_depth, pyramid, region, owners, shares):
+    """Turn mostly missing whole blocks into shares of their measured pixels; returns how many there are."""
     height, width = inverse_depth.shape
     columns = region.shape[1]
     block_moments = pyramid.moments
     owner, first, shares_of, measured = owners
     share_region, share_pixels, share_moments = shares
+    put = 0
     for here in blocks:
         row, column = place(here, columns)
         mask = np.int32(0)
@@ -236,7 +158,7 @@ def share_sparse(blocks, inverse_depth, pyramid, region, owners, shares, put):
 def contest(contended, count, inverse_depth, rays, before, pyramid, sensor, planes, rules, region, owners, shares, put):
     """Give each pixel of the first ``count`` contended blocks to one of the contenders, or to none.
 
-    The shares are added after the first ``put``; returns how many there are then. The rest is as in `assign_pixels`.
+    The shares follow the first ``put``; returns how many there are then. The rest is as in `assign_pixels`.
     """
     columns = region.shape[1]
     # Names for fields of tuples: see `kernels`.

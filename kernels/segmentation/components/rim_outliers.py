@@ -11,8 +11,7 @@ from ...common.bit_marks import lowest_bit
 from ..model.moments import add, pixel_ray
 from ..model.pixel_noise import waviness
 from ..model.planes import fit_planes
-from ..model.records import BLOCK, Found, Runs, Shares, as_view, place
-from .runs import WHOLE
+from ..model.records import BLOCK, MIXED, Owners, Shares, as_view, place
 
 # Pixels of such a group, and the largest share of its plane's: what is larger has been looked at before, as a region.
 LEAST, MOST, SHARE = 16, 128, 0.01
@@ -80,7 +79,7 @@ def gather_group(labels, reasons, inverse_depth, rays, alpha, far, most, group, 
 
 
 @kernel()
-def release_rims(view, shares, runs, found, loose_count, least, unclaimed, label_reason):
+def release_rims(view, owners, shares, moments, deviation, least, unclaimed, label, reason):
     """Take the label from groups of pixels at the rims of planes that lie off them.
 
     They touch what is not the plane's: so one of their pixels at least is in a share. A sensor's own errors may bend
@@ -90,60 +89,49 @@ def release_rims(view, shares, runs, found, loose_count, least, unclaimed, label
     ----------
     view : View
         Pixels are off by ``rim_deviations``, times the plane's waviness.
+    owners : Owners
     shares : Shares
-    runs : Runs
-    found : Found
-        ``moments`` are changed; ``loose`` is written after the first ``loose_count``, and has room.
-    loose_count : int
+    moments, deviation : (N, 10) and (N,) float64
+        Of the planes' pixels, changed, and of a pixel about them.
     least : int
         Pixels that a plane keeps at least.
     unclaimed : uint8
         Reason of pixels that lose their label.
-    label_reason : Labels, changed
+    label, reason : (H, W) int32 and uint8, changed
     """
-    view, shares, runs, found = as_view(view), Shares(*shares), Runs(*runs), Found(*found)
-    inverse_depth, rays, _, noise, rules, _ = view
-    moments, deviation, group, growth, off = (
-        found.moments,
-        found.deviation,
-        found.loose[loose_count:],
-        noise.growth,
-        rules.rim_deviations,
-    )
-    label, reason = label_reason
+    view, owners, shares = as_view(view), Owners(*owners), Shares(*shares)
+    inverse_depth, rays, noise, rules = view.inverse_depth, view.rays, view.noise, view.rules
     width, labels, reasons = label.shape[1], label.reshape(-1), reason.reshape(-1)
-    row_runs, run_start, run_share = runs.first, runs.start, runs.share
-    run_label, run_pixels = runs.label, runs.pixels
-    share_moments = shares.moments
     alpha, rss, gone = np.empty((len(moments), 3)), np.empty(len(moments)), np.zeros((len(moments), 10))
     fit_planes(moments, alpha, rss)
     limit = np.empty(len(moments))
     for k in range(len(moments)):
-        limit[k] = off * waviness(moments[k, 0], growth) * deviation[k]
-    count = 0
-    for row in range(len(row_runs) - 1):
-        for i in range(row_runs[row], row_runs[row + 1]):
-            k, s = run_label[i] - 1, run_share[i]
-            if s == WHOLE or k < 0 or SHARE * moments[k, 0] < LEAST:
-                continue
-            total = share_moments[s, 3] - (
-                alpha[k, 0] * share_moments[s, 1]
-                + alpha[k, 1] * share_moments[s, 2]
-                + alpha[k, 2] * share_moments[s, 0]
-            )
-            if abs(total) <= limit[k] * share_moments[s, 0]:
-                continue
-            far = limit[k] if total > 0.0 else -limit[k]
-            most = np.int64(min(SHARE * moments[k, 0], MOST))
-            pixels = run_pixels[i]
-            while pixels != 0:
+        limit[k] = rules.rim_deviations * waviness(moments[k, 0], noise.growth) * deviation[k]
+    group, count = np.empty(label.size, np.int32), 0
+    for row in range(len(owners.block)):
+        for column in range(owners.block.shape[1]):
+            first = owners.first[row, column]
+            for s in range(first, first + (owners.count[row, column] if owners.block[row, column] == MIXED else 0)):
+                pixels, m = shares.pixels[s], shares.moments[s]
                 p = lowest_bit(pixels)
-                pixels &= pixels - np.int32(1)
-                y, x = row * BLOCK + p // BLOCK, run_start[i] * BLOCK + p % BLOCK
-                here = y * width + x
-                if reasons[here] == 0 and is_off(inverse_depth, rays, y, x, alpha, k, far):
-                    group[count], reasons[here] = here, SEEN
-                    count = gather_group(labels, reasons, inverse_depth, rays, alpha, far, most, group, count)
+                k = label[row * BLOCK + p // BLOCK, column * BLOCK + p % BLOCK] - 1
+                if k < 0 or SHARE * moments[k, 0] < LEAST:
+                    continue
+                total = m[3] - (alpha[k, 0] * m[1] + alpha[k, 1] * m[2] + alpha[k, 2] * m[0])
+                if abs(total) <= limit[k] * m[0]:
+                    continue
+                far = limit[k] if total > 0.0 else -limit[k]
+                most = np.int64(min(SHARE * moments[k, 0], MOST))
+                while pixels != 0:
+                    p = lowest_bit(pixels)
+                    pixels &= pixels - np.int32(1)
+                    y, x = row * BLOCK + p // BLOCK, column * BLOCK + p % BLOCK
+                    here = y * width + x
+                    if reasons[here] == 0 and labels[here] == k + 1 and is_off(
+                        inverse_depth, rays, y, x, alpha, k, far
+                    ):  # fmt: skip
+                        group[count], reasons[here] = here, SEEN
+                        count = gather_group(labels, reasons, inverse_depth, rays, alpha, far, most, group, count)
     for i in range(count):
         here = group[i]
         k = labels[here] - 1

@@ -63,13 +63,13 @@ def best_alternatives(label, inverse_depth, rays, alpha, moments, least):
     least[:] = math.inf
     changes, words, columns = room_for_marks(width)
     for y in range(height):
-        is_line, of_row, of_next = y % LINES == 0, label[y], label[min(y + 1, height - 1)]
+        is_line, line, below_line = y % LINES == 0, label[y], label[min(y + 1, height - 1)]
         for x in range(width - 1):
-            changes[x] = (is_line & (of_row[x] != of_row[x + 1])) | ((x % LINES == 0) & (of_row[x] != of_next[x]))
-        changes[width - 1] = ((width - 1) % LINES == 0) & (of_row[width - 1] != of_next[width - 1])
+            changes[x] = (is_line & (line[x] != line[x + 1])) | ((x % LINES == 0) & (line[x] != below_line[x]))
+        changes[width - 1] = ((width - 1) % LINES == 0) & (line[width - 1] != below_line[width - 1])
         for i in range(list_marked(changes, words, True, columns)):
             x = np.int64(columns[i])
-            a, right, below = of_row[x], of_row[min(x + 1, width - 1)], of_next[x]
+            a, right, below = line[x], line[min(x + 1, width - 1)], below_line[x]
             if is_line and a != right:
                 if a > 0:
                     look_outside(label, inverse_depth, rays, y, x, 0, 1, alpha, moments, last, rim, least)

@@ -43,9 +43,9 @@ def weigh_planes(label, inverse_depth, rays, alpha, moments, flatness, evidence)
     independent_samples(sums, moments, flat, samples)
     best_alternatives(label, inverse_depth, rays, alpha, moments, least)
     for k in range(count):
-        of_flat = moments[k, 0] * flat[k]
-        rss = max(misfit_of(moments[k], alpha[k, 0], alpha[k, 1], alpha[k, 2]), 0.0) + of_flat
-        ratio = min((least[k] + of_flat) / rss, MOST_RATIO) if rss > 0.0 else MOST_RATIO
+        unevenness = moments[k, 0] * flat[k]
+        rss = max(misfit_of(moments[k], alpha[k, 0], alpha[k, 1], alpha[k, 2]), 0.0) + unevenness
+        ratio = min((least[k] + unevenness) / rss, MOST_RATIO) if rss > 0.0 else MOST_RATIO
         evidence[k] = 0.5 * samples[k] * math.log(max(ratio, 1.0))
 
 

@@ -44,22 +44,22 @@ def residual_sums(label, inverse_depth, rays, alpha, sums):
             continue
         if y % ROWS == 0:
             label_above[:] = 0
-        of_row, q = label[y], inverse_depth[y]
+        line, q = label[y], inverse_depth[y]
         u, v = tan_x[y if tan_x.shape[0] > 1 else 0], tan_y[y]
         last_v = np.int64(len(v) - 1)
         x = 0
         while x < width:
-            a = of_row[x]
+            a = line[x]
             start = x
             if a == 0:
-                while x < width and of_row[x] == 0:
+                while x < width and line[x] == 0:
                     label_above[x] = 0
                     x += 1
                 continue
             on_u, on_v, on_1 = alpha[a - 1, 0], alpha[a - 1, 1], alpha[a - 1, 2]
             square = differ = last = 0.0
             pairs = 0
-            while x < width and of_row[x] == a:
+            while x < width and line[x] == a:
                 r = q[x] - (on_u * u[x] + on_v * v[min(x, last_v)] + on_1)
                 square += r * r
                 if x > start:
@@ -101,13 +101,13 @@ def independent_samples(sums, moments, flat, samples):
         share = (0.5 * differ / max(pairs, 1.0) + flat[k]) / (square / max(pixels, 1.0) + flat[k])
         difference[k] = math.log(min(max(share, LEAST_DIFFERENCE), MOST_DIFFERENCE))
         total += moments[k, 0]
-    half, of_frame = 0.5 * total, 0.0
+    half, frame_difference = 0.5 * total, 0.0
     for k in np.argsort(difference):  # the median pixel's
         half -= moments[k, 0]
-        of_frame = difference[k]
+        frame_difference = difference[k]
         if half <= 0.0:
             break
     for k in range(count):
         pixels = moments[k, 0]
-        share = math.exp((pixels * difference[k] + OF_FRAME * of_frame) / (pixels + OF_FRAME))
+        share = math.exp((pixels * difference[k] + OF_FRAME * frame_difference) / (pixels + OF_FRAME))
         samples[k] = pixels / max(-math.pi / math.log(1.0 - share), 1.0)

@@ -47,11 +47,11 @@ def fit_planes(moments, alpha, rss):
 
 @kernel()
 def plane_covariance(m, weighted, variance_x, variance_y, mean_variance, more, shared, covariance):
-    """Write the covariance of α, (3, 3): see `statistics.sandwich`.
+    """Write the covariance of α, (3, 3), by `statistics.sandwich`.
 
-    ``weighted`` (5,) comes from `weights.weigh_rays`. ``of_slope_x``, ``of_slope_y`` and ``of_mean`` are
-    variances of a pixel, one for each part. Then ``more`` times the covariances of slopes and mean in ``shared``, see
-    `statistics.correlated_errors.shared_covariances`, are added.
+    ``weighted`` (5,) comes from `weights.weigh_rays`. ``variance_x``, ``variance_y`` and ``mean_variance`` are
+    variances of a pixel: for the slope along each axis, and for the mean. Then ``more`` times ``shared`` is added, the
+    covariances of slopes and mean by `statistics.correlated_errors.shared_covariances`.
     """
     n, u, v = m[0], m[1] / m[0], m[2] / m[0]
     rays = weighted[0], weighted[1], weighted[2], weighted[3], weighted[4]

@@ -167,21 +167,16 @@ class Contacts(NamedTuple):
 
 
 class Runs(NamedTuple):
-    """Blocks side by side that one region has, or a piece of its share of a MIXED one; one row after the other."""
+    """Pixels side by side that one region has, one row after the other; missing pixels may be among them."""
 
-    first: Array  # (R + 1,) int32: first run of each row
-    start: Array  # (K,) int32: first column of blocks
-    stop: Array  # last column + 1
-    share: Array  # the share, or WHOLE
-    pixels: Array  # its pixels in each of its blocks: see `Shares`
-    label: Array
-    # Its pixels and the missing ones beside them in the same row, and in the same column; all pixels, for whole blocks.
-    filled_x: Array
-    filled_y: Array
-    across: Array  # runs of pixels along the rows that begin in it, bridging missing pixels
-    down: Array  # the same along the columns
-    parent: Array  # roots stand for connected parts
-    part: Array  # number of the part
+    first: Array  # (H + 1,) int32: first run of each row
+    row: Array  # (K,) int32
+    start: Array  # (K,) int32: first column
+    stop: Array  # (K,) int32: last column + 1
+    region: Array  # (K,) int32
+    starts: Array  # (K,) int32: 1, or 0 if the one before it is the region's, too, but for a hole in between
+    starts_down: Array  # (K,) int32: its pixels that have none of the region above, but for a hole in between
+    part: Array  # (K,) int32: connected part
 
 
 class Parts(NamedTuple):
@@ -196,35 +191,20 @@ class Parts(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What is found: P connected parts, and N of them that are planes."""
+    """The N planes that are found, with labels 1, 2, ..."""
 
-    number: Array  # (P,) int32: label, 1, 2, ... for planes in the order of their first pixels, 0 for other parts
-    why: Array  # (P,) uint8: reason
-    stray: Array  # (P,) bool: see `components.judge_parts`
-    moments: Array  # (N, 10) float64: of the plane with label 1, 2, ...
+    moments: Array  # (N, 10) float64: of their pixels
     deviation: Array  # (N,) float64: standard deviation of a pixel about the plane of its region
     inside: Array  # (N, 10) float64: moments of the pixels that it is fitted to, see `interior.interior_moments`
     alpha: Array  # (N, 3) float64: so fitted
     rss: Array  # (N,) float64: sum of squared residuals of these pixels
     weighted: Array  # (N, 5) float64: see `weights.weigh_rays`
     size: Array  # (N + 1,) int32: pixels of each label
-    loose: Array  # (L,) int32: measured pixels that may get the label of those around them, row · W + column
-
-    def first(self, planes: int, parts: int) -> "Found":
-        """The first planes and parts, where there is room for more."""
-        return Found(
-            self.number[:parts], self.why[:parts], self.stray[:parts], self.moments[:planes], self.deviation[:planes],
-            self.inside[:planes], self.alpha[:planes], self.rss[:planes], self.weighted[:planes],
-            self.size[: planes + 1], self.loose,
-        )  # fmt: skip
 
     def of_planes(self, is_kept: Array) -> "Found":
-        """Only some of the planes, in arrays of their own; what is of parts stays as it is."""
-        return self._replace(
-            moments=self.moments[is_kept], deviation=self.deviation[is_kept], inside=self.inside[is_kept],
-            alpha=self.alpha[is_kept], rss=self.rss[is_kept], weighted=self.weighted[is_kept],
-            size=self.size[np.append(True, is_kept)],
-        )  # fmt: skip
+        """Only some of the planes."""
+        planes = [field[is_kept] for field in self[:-1]]
+        return Found(*planes, self.size[np.append(True, is_kept)])
 
 
 class Labels(NamedTuple):
