@@ -6,6 +6,7 @@ page in a browser, which needs Chromium. Plots of what was measured are drawn by
 
 import argparse
 import contextlib
+import functools
 import io
 import re
 import subprocess
@@ -18,7 +19,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from PIL import Image
 
-from bench import browser, curvature_picture, drawings, primitive_picture, story
+from bench import browser, curvature_picture, drawings, primitive_picture, segmentation_stages, story
 from rgbd_planes.camera import presets
 from rgbd_planes.evaluation import scenes
 from rgbd_planes.sequences import images
@@ -99,6 +100,10 @@ def _drawing(name: str, figure: Callable[[], Figure]) -> Callable[[], None]:
 OTHERS: dict[str, tuple[str, Callable[[], None]]] = {
     "story": ("story.gif", lambda: story.draw(FOLDER / "story.gif")),
     "view": ("view.png", view),
+    **{
+        f"stage_{stage}": (f"stage_{stage}.png", functools.partial(segmentation_stages.draw, stage, FOLDER))
+        for stage in segmentation_stages.STAGES
+    },
     "normals": ("normals.png", normals),
     "curvature": ("curvature.png", lambda: curvature_picture.picture().savefig(FOLDER / "curvature.png", dpi=85)),
     "primitives": ("primitives.png", lambda: primitive_picture.picture().savefig(FOLDER / "primitives.png", dpi=85)),
