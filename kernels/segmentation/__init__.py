@@ -24,7 +24,6 @@ contact                   a pair of regions that touch, and where
 owner, share              the region that has a whole block; the pixels that a region has of a mixed block
 whole block               a block that goes to its region without a look at its pixels
 contested block           a block for whose pixels several regions contend
-task                      what is to be done with a block in a round: nothing, whole, open, or the same as before
 deviation                 standard deviation of a pixel about a plane: the sensor's noise, and what the slope adds
 slope                     change of inverse depth from pixel to pixel
 lateral error             where within itself a pixel sees its surface
@@ -37,7 +36,7 @@ face                      a part of a region that is a plane of its own, and mee
 quadric                   the second-order surface that fits a region: bent regions prefer it to planes
 crease                    an edge within a region, on both sides of which there is a plane
 facet                     one of the planes of something that is meant to be round
-run                       blocks side by side that one region has; parts are made of runs
+run                       pixels side by side in a row that one region has; parts are made of runs
 part                      a connected component of a region
 occlusion gap             what something thin in front hides between two parts of one plane
 rim outliers              connected pixels at the rim of a plane whose residuals have one sign: a face too small to see

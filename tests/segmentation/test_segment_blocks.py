@@ -95,7 +95,7 @@ def test_blocks_end_where_the_image_does(width, height):
 
 
 def test_planes_of_a_room_are_the_fit_of_their_pixels(room):
-    # What the last round leaves alone, and what it takes out and puts in again, adds up to the pixels.
+    # What the last round gives to each plane adds up to its pixels.
     depth = room[1]
     found = segment(depth, CAMERA)
     assert found.sizes.tolist() == np.bincount(found.labels.ravel())[1:].tolist()
