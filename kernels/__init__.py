@@ -9,8 +9,8 @@ Folders, lowest first; each uses only those before it:
 - `fits`: from a frame to planes or normals in one call
 - `statistics`: how good a plane is
 - `segmentation`: the planes of a frame, and the pixels of each
-- `egomotion`: tiles of a frame against planes of other frames
-- `tracking`: a frame's labels by squares, for planes that are seen again
+- `primitives`: spheres, cylinders and planes of labels, by maximum likelihood in inverse depth
+- `motion`: tiles of a frame against planes of other frames; where planes were before
 
 Habits of these kernels, each because it was measured:
 

@@ -30,8 +30,8 @@ _NAMES = {
     "PlanePolygon": "segmentation.polygons",
     "PlaneTracker": "segmentation.tracking",
     "Primitive": "_core.status",
-    "PrimitiveFits": "segmentation.primitives.result",
-    "PrimitiveTracker": "segmentation.primitives.tracking",
+    "PrimitiveFits": "primitives.result",
+    "PrimitiveTracker": "primitives.tracking",
     "Reason": "segmentation.result",
     "Segmentation": "segmentation.result",
     "SurfaceFitter": "fitting.surfaces.tiles",
@@ -39,14 +39,14 @@ _NAMES = {
     "TilePlanes": "fitting.tile_planes",
     "TileStatus": "fitting.results",
     "TileSurfaces": "fitting.surfaces.tile_surfaces",
-    "TrackedPrimitives": "segmentation.primitives.tracking",
+    "TrackedPrimitives": "primitives.tracking",
     "TrackedSegmentation": "segmentation.tracking",
     "WindowPlanes": "fitting.windows",
     "WindowSurfaces": "fitting.surfaces.windows",
     "curvature": "fitting.normals",
     "estimate_noise": "noise_estimation.estimation",
     "fit_labels": "fitting.labels",
-    "fit_primitives": "segmentation.primitives.fit",
+    "fit_primitives": "primitives.fit",
     "fit_sequence": "batch.fit_sequence",
     "fit_surface_windows": "fitting.surfaces.windows",
     "fit_surfaces": "fitting.surfaces.tiles",
@@ -125,12 +125,12 @@ if TYPE_CHECKING:
     from rgbd_planes.fitting.windows import fit_windows as fit_windows
     from rgbd_planes.noise_estimation.estimation import estimate_noise as estimate_noise
     from rgbd_planes.plotting.trajectory import plot_trajectory as plot_trajectory
+    from rgbd_planes.primitives.fit import fit_primitives as fit_primitives
+    from rgbd_planes.primitives.result import PrimitiveFits as PrimitiveFits
+    from rgbd_planes.primitives.tracking import PrimitiveTracker as PrimitiveTracker
+    from rgbd_planes.primitives.tracking import TrackedPrimitives as TrackedPrimitives
     from rgbd_planes.segmentation.polygons import PlanePolygon as PlanePolygon
     from rgbd_planes.segmentation.polygons import plane_polygons as plane_polygons
-    from rgbd_planes.segmentation.primitives.fit import fit_primitives as fit_primitives
-    from rgbd_planes.segmentation.primitives.result import PrimitiveFits as PrimitiveFits
-    from rgbd_planes.segmentation.primitives.tracking import PrimitiveTracker as PrimitiveTracker
-    from rgbd_planes.segmentation.primitives.tracking import TrackedPrimitives as TrackedPrimitives
     from rgbd_planes.segmentation.quadtree import segment_quadtree as segment_quadtree
     from rgbd_planes.segmentation.result import Segmentation as Segmentation
     from rgbd_planes.segmentation.segment import segment as segment

@@ -7,7 +7,6 @@
 - `components`: regions become connected parts, parts become labels
 - `refit`: the final planes, from interior pixels
 - `evidence`: which of them are more than noise makes
-- `primitives`, by itself: spheres, cylinders and planes of labels
 
 `rgbd_planes.segmentation` calls them, one kernel a step. A stage uses `model`, never another stage.
 

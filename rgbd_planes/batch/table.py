@@ -14,7 +14,7 @@ from rgbd_planes.fitting.surfaces.tile_surfaces import TileSurfaces
 from rgbd_planes.fitting.tile_planes import TilePlanes
 from rgbd_planes.kernels.fits import table_columns as row_kernels
 from rgbd_planes.kernels.statistics.tiles.block import P_VALUE, PLANE_COVARIANCE
-from rgbd_planes.segmentation.primitives.result import PrimitiveFits
+from rgbd_planes.primitives.result import PrimitiveFits
 from rgbd_planes.segmentation.result import Segmentation
 
 KEY = b"rgbd_planes"  # of the file's metadata about its rows

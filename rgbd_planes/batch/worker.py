@@ -28,7 +28,7 @@ from rgbd_planes.fitting.surfaces.tiles import SurfaceFitter
 from rgbd_planes.fitting.tile_grid import check_tile, grid_shape, tile_sides
 from rgbd_planes.fitting.tile_planes import TilePlanes
 from rgbd_planes.fitting.tiles import TileFitter
-from rgbd_planes.segmentation.primitives.fit import fit_primitives
+from rgbd_planes.primitives.fit import fit_primitives
 from rgbd_planes.segmentation.result import boxes_of
 from rgbd_planes.segmentation.segment import MIN_SIZE, check_min_size, segment
 from rgbd_planes.sequences.frames import FrameSequence

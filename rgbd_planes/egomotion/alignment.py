@@ -18,8 +18,8 @@ from rgbd_planes._core.arrays import Floats
 from rgbd_planes._core.rotations import nearest_rotation
 from rgbd_planes.egomotion.frame_tiles import FrameTiles, TileRays
 from rgbd_planes.kernels.common.quantiles import quantile
-from rgbd_planes.kernels.egomotion.match_tiles import COLUMNS, match_tiles
-from rgbd_planes.kernels.egomotion.normal_equations import (
+from rgbd_planes.kernels.motion.match_tiles import COLUMNS, match_tiles
+from rgbd_planes.kernels.motion.normal_equations import (
     SUMS,
     feigned_systems,
     normal_equations,

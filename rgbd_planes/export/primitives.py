@@ -18,7 +18,7 @@ from rgbd_planes.export.json_files import finite_or_none, write_json_file
 from rgbd_planes.export.ply import write_ply
 from rgbd_planes.export.ros import ros_header
 from rgbd_planes.plotting.colours import label_colours
-from rgbd_planes.segmentation.primitives.result import PrimitiveFits
+from rgbd_planes.primitives.result import PrimitiveFits
 
 _MARKERS = {Primitive.SPHERE: 2, Primitive.CYLINDER: 3}
 """Types of visualization_msgs/Marker."""

@@ -29,9 +29,9 @@ from rgbd_planes.export.rerun_scene import (
 from rgbd_planes.export.tiles import polygons_of
 from rgbd_planes.fitting.tiles import TileFitter
 from rgbd_planes.plotting.colours import in_image, normal_colours
-from rgbd_planes.segmentation.primitives.fit import fit_primitives
-from rgbd_planes.segmentation.primitives.result import PrimitiveFits
-from rgbd_planes.segmentation.primitives.tracking import PrimitiveTracker
+from rgbd_planes.primitives.fit import fit_primitives
+from rgbd_planes.primitives.result import PrimitiveFits
+from rgbd_planes.primitives.tracking import PrimitiveTracker
 from rgbd_planes.segmentation.result import Segmentation
 from rgbd_planes.segmentation.segment import MIN_SIZE, check_min_size, segment
 from rgbd_planes.segmentation.tracking import PlaneTracker

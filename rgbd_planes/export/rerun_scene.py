@@ -10,8 +10,8 @@ from rgbd_planes._core.optional_imports import needs
 from rgbd_planes.camera.camera import Camera
 from rgbd_planes.export.primitives import patches
 from rgbd_planes.plotting.colours import MISSING, NO_PLANE, in_image, label_colours
+from rgbd_planes.primitives.tracking import TrackedPrimitives
 from rgbd_planes.segmentation.polygons import plane_polygons
-from rgbd_planes.segmentation.primitives.tracking import TrackedPrimitives
 from rgbd_planes.segmentation.result import Segmentation
 
 _MOST_CLASSES = 65535  # the most that rerun has: after that many planes the numbers begin again

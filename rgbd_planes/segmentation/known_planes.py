@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rgbd_planes._core.arrays import Floats
 from rgbd_planes.camera.camera import Camera
 from rgbd_planes.camera.rays import ray_tables
-from rgbd_planes.kernels.tracking.squares import find_places, label_squares
+from rgbd_planes.kernels.motion.squares import find_places, label_squares
 from rgbd_planes.segmentation.camera_motion import Motion, camera_motion
 from rgbd_planes.segmentation.result import Segmentation
 from rgbd_planes.uncertainty.planes import angle_and_offset

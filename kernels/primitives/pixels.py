@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ..._jit.kernel import kernel
-from ...common.depth import inverse_depth
+from .._jit.kernel import kernel
+from ..common.depth import inverse_depth
 
 
 @kernel()

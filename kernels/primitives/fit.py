@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from ..._jit.kernel import kernel
-from ...common.quantiles import quantile
+from .._jit.kernel import kernel
+from ..common.quantiles import quantile
 from .minimise import minimise
 from .quadric import BLOCK, CYLINDER, KAPPA, PARAMETERS, PLANE, Q0, RESIDUAL, SPHERE, SURFACE, A, B, evaluate, weigh
 from .start import TERMS, central_ray, fit_quadratic, write_start

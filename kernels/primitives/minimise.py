@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
-from ..._jit.kernel import kernel
-from ...solvers.cholesky import factorise, solve
-from ...statistics.correlation_cells import sum_of_products
+from .._jit.kernel import kernel
+from ..solvers.cholesky import factorise, solve
+from ..statistics.correlation_cells import sum_of_products
 from .quadric import BLOCK, CYLINDER, KAPPA, PARAMETERS, Q0, RESIDUAL, SURFACE, evaluate, moved, parameters_of
 
 # The search ends with a step that lowers the sum of squares, in units of the variance, by less: a thousandth of a

@@ -14,14 +14,14 @@ from rgbd_planes.camera.camera import Camera, check_camera
 from rgbd_planes.camera.depth_frame import DepthFrame, as_depth_frame
 from rgbd_planes.camera.frame_warnings import warn_of_noise
 from rgbd_planes.fitting.labels import check_labels_of
-from rgbd_planes.kernels.segmentation.primitives import pixels as label_pixels
-from rgbd_planes.kernels.segmentation.primitives.errors import write_errors_of_labels
-from rgbd_planes.kernels.segmentation.primitives.fit import fit_labels
-from rgbd_planes.kernels.segmentation.primitives.quadric import PARAMETERS, SURFACE
+from rgbd_planes.kernels.primitives import pixels as label_pixels
+from rgbd_planes.kernels.primitives.errors import write_errors_of_labels
+from rgbd_planes.kernels.primitives.fit import fit_labels
+from rgbd_planes.kernels.primitives.quadric import PARAMETERS, SURFACE
 from rgbd_planes.noise.model import NoiseModel
-from rgbd_planes.segmentation.primitives.noise import PixelNoise, noise_of_pixels
-from rgbd_planes.segmentation.primitives.result import PrimitiveFits
-from rgbd_planes.segmentation.primitives.selection import Fitted, select
+from rgbd_planes.primitives.noise import PixelNoise, noise_of_pixels
+from rgbd_planes.primitives.result import PrimitiveFits
+from rgbd_planes.primitives.selection import Fitted, select
 from rgbd_planes.uncertainty.statistics import DEFAULT_SIGNIFICANCE, check_level
 
 _LEAST_INSIDE = 0.5

@@ -12,8 +12,8 @@ square root is -m times the unit normal: how steeply the ray meets the surface.
 
 import math
 
-from ..._jit.kernel import kernel
-from ...statistics.noise_variances import FALLOFF, LATERAL_X, LATERAL_Y, rounding_at, variance_at
+from .._jit.kernel import kernel
+from ..statistics.noise_variances import FALLOFF, LATERAL_X, LATERAL_Y, rounding_at, variance_at
 
 # A surface: q₀, κ, the unit vectors a, b and n, and the ray (u₀, v₀).
 Q0, KAPPA, A, B, NORMAL, RAY = 0, 1, 2, 5, 8, 11

@@ -12,8 +12,8 @@ from rgbd_planes._core.arrays import Floats
 from rgbd_planes._core.checks import FixedArguments, check_whole
 from rgbd_planes._core.status import Primitive
 from rgbd_planes._core.text import counted
+from rgbd_planes.primitives.result import PrimitiveFits
 from rgbd_planes.segmentation.camera_motion import Motion
-from rgbd_planes.segmentation.primitives.result import PrimitiveFits
 
 MEMORY = 30  # frames: a second
 # One and the same primitive moves by less than this share of its radius from frame to frame, ...

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
-from ..._jit.kernel import kernel
-from ...solvers.cholesky import factorise, solve
-from ...solvers.curvatures import gaussian_curvature, mean_curvature, principal_pair, principal_steps, tangent_distance
+from .._jit.kernel import kernel
+from ..solvers.cholesky import factorise, solve
+from ..solvers.curvatures import gaussian_curvature, mean_curvature, principal_pair, principal_steps, tangent_distance
 from .quadric import KAPPA, NORMAL, Q0, RAY, A, normalise
 
 TERMS = 6

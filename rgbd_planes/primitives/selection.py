@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from rgbd_planes._core.arrays import Floats
 from rgbd_planes._core.status import Primitive, TileStatus
-from rgbd_planes.kernels.segmentation.primitives.quadric import CYLINDER, KAPPA, NORMAL, PLANE, Q0, RAY, SPHERE, A, B
+from rgbd_planes.kernels.primitives.quadric import CYLINDER, KAPPA, NORMAL, PLANE, Q0, RAY, SPHERE, A, B
 from rgbd_planes.noise.correlation import deviate_of
-from rgbd_planes.segmentation.primitives.result import AXIS, CENTRE, PARAMETERS, RADIUS, allocate_primitives
+from rgbd_planes.primitives.result import AXIS, CENTRE, PARAMETERS, RADIUS, allocate_primitives
 
 _KINDS = np.array([Primitive.PLANE, Primitive.SPHERE, Primitive.CYLINDER], np.uint8)
 _FEWEST = 6

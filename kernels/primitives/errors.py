@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
-from ..._jit.kernel import kernel
-from ...solvers.cholesky import factorise, invert
-from ...statistics.correlated_errors import (
+from .._jit.kernel import kernel
+from ..solvers.cholesky import factorise, invert
+from ..statistics.correlated_errors import (
     FEW_CELLS,
     FILLED,
     MOST_CELLS,
@@ -16,7 +16,7 @@ from ...statistics.correlated_errors import (
     product,
     trace_of_product,
 )
-from ...statistics.correlation_cells import sum_of_products
+from ..statistics.correlation_cells import sum_of_products
 from .quadric import BLOCK, CYLINDER, PARAMETERS, evaluate, parameters_of
 
 # Rows of cells: σ's share times the derivatives, σ's share, and the number of pixels.

@@ -1,1 +1,0 @@
-"""How a camera moves: tiles of a frame against planes of other frames."""

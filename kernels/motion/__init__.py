@@ -1,0 +1,1 @@
+"""How a camera moves: tiles of a frame against planes of other frames, and where planes were before."""

@@ -1,1 +1,0 @@
-"""Planes seen again in a sequence: a frame's labels by squares, and some pixels of each plane."""
