@@ -220,7 +220,7 @@ def ready():
 
 provided = ready()
 for dtype in (np.dtype(name).str for name in dtypes):
-    for kernel, arguments in compilation._calls(dtype, False) + compilation._more_calls(dtype):
+    for _, kernel, arguments in compilation._calls(dtype, False) + compilation._more_calls(dtype):
         provided.add((kernel.py_func.__qualname__, tuple(map(numba.typeof, arguments))))
 for scene in (scenes.room(), scenes.room((0.1, -1.5, 0.0)), scenes.plane((0.0, 0.0, -1.0), 2.0)):
     depth = scene.render(distorted).measure(holes=0.05, patches=0.1)

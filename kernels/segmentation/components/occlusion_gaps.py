@@ -17,6 +17,7 @@ from ..model.records import Runs, as_view
 
 LEAST = 4  # rows or columns that must cross a gap
 BEYOND = 4.0  # deviations by which something is farther than the plane
+FARTHEST = np.iinfo(np.int32).max  # a row or column after all others
 SEE_THROUGH_SHARE = 0.1  # share of the rows or columns that may be open
 
 
@@ -102,7 +103,7 @@ def link_runs(runs, count, number, head, following, box):
     """
     head[:] = count
     for a in range(len(box)):
-        box[a, 0], box[a, 1], box[a, 2], box[a, 3] = np.iinfo(np.int32).max, 0, np.iinfo(np.int32).max, 0
+        box[a, 0], box[a, 1], box[a, 2], box[a, 3] = FARTHEST, 0, FARTHEST, 0
     for k in range(count - 1, -1, -1):
         a = number[runs.part[k]] - 1
         if a >= 0:
