@@ -38,13 +38,15 @@ class CacheFiles:
         Where files are also looked for: whoever installed the kernels may have compiled them, and others may only read.
     base : str
         How the names of a kernel's files begin.
+    module : str
+        The kernel's, which compiled code imports: of a folder that was moved with its files, others are asked for.
     """
 
-    def __init__(self, folder: Any, installed: Any, base: str) -> None:
-        self._folder, self._installed, self._base = Path(folder), Path(installed), base
+    def __init__(self, folder: Any, installed: Any, base: str, module: str) -> None:
+        self._folder, self._installed, self._base, self._module = Path(folder), Path(installed), base, module
 
     def _name(self, key: Any) -> str:
-        options = numba.__version__, int(numba.config.OPT), bool(numba.config.BOUNDSCHECK)
+        options = self._module, numba.__version__, int(numba.config.OPT), bool(numba.config.BOUNDSCHECK)
         return f"{self._base}.{hashlib.sha256(repr((options, key)).encode()).hexdigest()[:16]}.nbc"
 
     def load(self, key: Any) -> Any:
@@ -159,7 +161,8 @@ class Cache(FunctionCache):
         super().__init__(function)
         installed = Installed(function, function.__code__.co_filename).get_cache_path()
         with contextlib.suppress(AttributeError):  # a later Numba may differ inside: its own files then
-            self._cache_file = CacheFiles(self._cache_path, installed, self._impl.filename_base)
+            base, module = self._impl.filename_base, function.__module__
+            self._cache_file = CacheFiles(self._cache_path, installed, base, module)
 
     @property
     def saves(self) -> bool:

@@ -29,8 +29,8 @@ def of_a_process(tmp_path, monkeypatch):
     monkeypatch.setattr(config, "CACHE_DIR", "")  # which the environment may have set
     (tmp_path / "doubling.py").write_text(SOURCE)
 
-    def load() -> Any:
-        spec = importlib.util.spec_from_file_location("doubling", tmp_path / "doubling.py")
+    def load(name: str = "doubling") -> Any:
+        spec = importlib.util.spec_from_file_location(name, tmp_path / "doubling.py")
         module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
         return module.twice
@@ -49,6 +49,13 @@ def files(of_a_process) -> list[Path]:
 def loaded(kernel: Any) -> tuple[int, int]:
     """How often a kernel was found on disk, and how often not."""
     return sum(kernel.stats.cache_hits.values()), sum(kernel.stats.cache_misses.values())
+
+
+def test_under_another_name_a_module_loads_nothing(of_a_process, files):
+    """What was compiled imports its module by the name of then, as after a folder of kernels has moved."""
+    moved = of_a_process("moved.doubling")
+    assert moved(3) == 6
+    assert loaded(moved) == (0, 1)
 
 
 def test_processes_of_one_test_run_compile_a_kernel_once(tmp_path):
