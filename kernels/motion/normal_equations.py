@@ -30,6 +30,14 @@ def inverse_of_mean(sums, g, width):
     return ixx, ixy, ixz, iyy, iyz, 1.0 - (ixz * x + iyz * y)
 
 
+@kernel(inline=True, arrays=False)
+def mirror(matrix):
+    """Copy what lies below the diagonal above it."""
+    for row in range(len(matrix)):
+        for column in range(row):
+            matrix[column, row] = matrix[row, column]
+
+
 @kernel(arrays=False)
 def normal_equations(matches, frame, scale, rules, weights, sums, systems, right):
     """Sum the matches, robustly weighted (Geman and McClure 1987).
@@ -74,9 +82,7 @@ def normal_equations(matches, frame, scale, rules, weights, sums, systems, right
             for column in range(row + 1):
                 systems[part, row, column] += derivative * matches[k, column]
     for part in range(2):
-        for row in range(6):
-            for column in range(row):
-                systems[part, column, row] = systems[part, row, column]
+        mirror(systems[part])
 
 
 @kernel(arrays=False)
@@ -118,30 +124,28 @@ def feigned_systems(sums, planes, errors, width, systems):
         p10, p11, p12 = a - x * c, b - x * e, c - x * f
         p20, p21, p22 = x * b - y * a, x * d - y * b, x * e - y * c
         part[0, 0] += y * p02 - p01
-        part[0, 1] += p00 - x * p02
-        part[0, 2] += x * p01 - y * p00
+        part[1, 0] += p00 - x * p02
+        part[2, 0] += x * p01 - y * p00
         part[1, 1] += p10 - x * p12
-        part[1, 2] += x * p11 - y * p10
+        part[2, 1] += x * p11 - y * p10
         part[2, 2] += x * p21 - y * p20
-        part[0, 3] += p00
-        part[0, 4] += p01
-        part[0, 5] += p02
-        part[1, 3] += p10
-        part[1, 4] += p11
-        part[1, 5] += p12
-        part[2, 3] += p20
-        part[2, 4] += p21
-        part[2, 5] += p22
+        part[3, 0] += p00
+        part[4, 0] += p01
+        part[5, 0] += p02
+        part[3, 1] += p10
+        part[4, 1] += p11
+        part[5, 1] += p12
+        part[3, 2] += p20
+        part[4, 2] += p21
+        part[5, 2] += p22
         part[3, 3] += a
-        part[3, 4] += b
-        part[3, 5] += c
+        part[4, 3] += b
+        part[5, 3] += c
         part[4, 4] += d
-        part[4, 5] += e
+        part[5, 4] += e
         part[5, 5] += f
     for part in range(2):
-        for row in range(6):
-            for column in range(row):
-                systems[part, row, column] = systems[part, column, row]
+        mirror(systems[part])
 
 
 @kernel(arrays=False)
@@ -203,6 +207,4 @@ def spread_of_right(sums, crosses, single, shared, width, spread):
             for column in range(row + 1):
                 form = x * crosses[g, column, 0] + y * crosses[g, column, 1] + z * crosses[g, column, 2]
                 spread[row, column] += variance * form
-    for row in range(6):
-        for column in range(row):
-            spread[column, row] = spread[row, column]
+    mirror(spread)
