@@ -124,13 +124,9 @@ class View(NamedTuple):
             some = _is_near_rays(camera._lens, xyz)
             pixels = np.full((len(xyz), 2), np.nan)
             pixels[some] = camera.project(xyz[some])
-            column, row = pixels.T
         else:
-            x, y, z = xyz.T
-            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                scale = np.where(z > 0.0, 1.0 / z, np.nan)
-                column, row = camera.fx * x * scale + camera.cx, camera.fy * y * scale + camera.cy
-        column, row = np.rint(0.5 * column), np.rint(0.5 * row)
+            pixels = camera.project(xyz)
+        column, row = np.rint(0.5 * pixels).T
         inside = (row >= 0) & (row < self.labels.shape[0]) & (column >= 0) & (column < self.labels.shape[1])
         return np.where(inside, row, 0).astype(np.intp), np.where(inside, column, 0).astype(np.intp), inside
 
