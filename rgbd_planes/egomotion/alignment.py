@@ -7,7 +7,6 @@ errors, those of the sensor's lens and of the plane's own fit: so a plane's tile
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -87,14 +86,11 @@ class Alignment:
 
 
 def exponential(delta: Floats) -> Floats:
-    """(4, 4): the motion of a step, a rotation vector and a translation (Rodrigues 1840)."""
-    x, y, z = delta[:3].tolist()
-    angle = math.sqrt(x * x + y * y + z * z)
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    sine, half = (math.sin(t) / t if t > 0.0 else 1.0 for t in (angle, 0.5 * angle))
+    """(4, 4): the motion of a step, a rotation vector and a translation."""
+    from scipy.spatial.transform import Rotation
+
     motion = np.eye(4)
-    motion[:3, :3] += sine * cross + 0.5 * half * half * (cross @ cross)
-    motion[:3, 3] = delta[3:]
+    motion[:3, :3], motion[:3, 3] = Rotation.from_rotvec(delta[:3]).as_matrix(), delta[3:]
     return motion
 
 
