@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rgbd_planes._core.arrays import Floats
-from rgbd_planes._core.checks import FixedArguments, check_whole
 from rgbd_planes._core.status import Primitive
 from rgbd_planes._core.text import counted
 from rgbd_planes.primitives.result import PrimitiveFits
 from rgbd_planes.segmentation.camera_motion import Motion
+from rgbd_planes.segmentation.tracking import MEMORY, Tracker
 
-MEMORY = 30  # frames: a second
 # One and the same primitive moves by less than this share of its radius from frame to frame, ...
 _MOVES = 0.5
 # ... turns by less than so much, ...
@@ -82,7 +81,7 @@ def _known_of(fits: PrimitiveFits, ids: NDArray[np.int32]) -> _Known:
     return everything.only(fits.kind >= Primitive.SPHERE)
 
 
-class PrimitiveTracker(FixedArguments):
+class PrimitiveTracker(Tracker):
     """Gives spheres and cylinders ids that they keep from frame to frame.
 
     Two are the same if they are of one kind and one radius, and if the later one is where the earlier one was. Given
@@ -100,18 +99,12 @@ class PrimitiveTracker(FixedArguments):
     """
 
     def __init__(self, memory: int = MEMORY) -> None:
-        self._memory = check_whole("memory", memory, 0, "whole number of frames")
-        self._newest = 0
+        super().__init__(memory)
         nothing = np.empty(0)
         self._known = _Known(
             nothing.astype(np.int32), nothing.astype(np.uint8), np.empty((0, 3)), np.empty((0, 3)), nothing, nothing,
             nothing.astype(np.int64),
         )  # fmt: skip
-
-    @property
-    def newest(self) -> int:
-        """The id that was given last: how many spheres and cylinders there were so far."""
-        return self._newest
 
     def follow(self, fits: PrimitiveFits, motion: ArrayLike | None = None) -> TrackedPrimitives:
         """Give the spheres and cylinders of the next frame their ids.
@@ -140,9 +133,7 @@ class PrimitiveTracker(FixedArguments):
         seen = np.zeros(len(before.ids), np.bool_)
         for i, k in _matches(before, _known_of(fits, ids)):
             ids[rows[k]], seen[i] = before.ids[i], True
-        new = rows[ids[rows] == 0]
-        ids[new] = self._newest + 1 + np.arange(len(new))
-        self._newest += len(new)
+        self._number(ids, rows[ids[rows] == 0])
         remembered = before.only(~seen & (before.unseen <= self._memory))
         self._known = remembered.and_those(_known_of(fits, ids))
         return TrackedPrimitives(fits, ids)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rgbd_planes._core.arrays import Indices
 from rgbd_planes._core.checks import FixedArguments, check_whole, each_of
 from rgbd_planes._core.text import counted
 from rgbd_planes.camera.camera import Camera
@@ -131,7 +132,31 @@ def _camera_of(frame: Any) -> Camera:
     return frame.camera
 
 
-class PlaneTracker(FixedArguments):
+class Tracker(FixedArguments):
+    """What gives ids in the order in which things are first seen.
+
+    Parameters
+    ----------
+    memory : int
+        For how many frames something that is out of sight is remembered.
+    """
+
+    def __init__(self, memory: int) -> None:
+        self._memory = check_whole("memory", memory, 0, "whole number of frames")
+        self._newest = 0
+
+    @property
+    def newest(self) -> int:
+        """The id that was given last: how many there were so far."""
+        return self._newest
+
+    def _number(self, ids: NDArray[np.int32], new: Indices) -> None:
+        """Give what is new, by its indices in ``ids``, the next ids."""
+        ids[new] = self._newest + 1 + np.arange(len(new))
+        self._newest += len(new)
+
+
+class PlaneTracker(Tracker):
     """Gives planes the ids of `segment_sequence`, where frames come one by one and there is nothing to iterate over.
 
     Parameters
@@ -146,15 +171,9 @@ class PlaneTracker(FixedArguments):
     """
 
     def __init__(self, memory: int = MEMORY) -> None:
-        self._memory = check_whole("memory", memory, 0, "whole number of frames")
-        self._newest = 0
+        super().__init__(memory)
         self._shape = (0, 0)
         self._known = KnownPlanes()
-
-    @property
-    def newest(self) -> int:
-        """The id that was given last: how many planes there were so far."""
-        return self._newest
 
     def follow(self, found: Segmentation, motion: ArrayLike | None = None) -> TrackedSegmentation:
         """Give the planes of the next frame their ids: new ones if its size differs from the one before.
@@ -189,9 +208,7 @@ class PlaneTracker(FixedArguments):
             ids[matches.now] = self._known.ids[matches.before]
         elif moved is not None:
             self._known = self._known.moved(moved)
-        new = np.flatnonzero(ids == 0)
-        ids[new] = self._newest + 1 + np.arange(len(new))
-        self._newest += len(new)
+        self._number(ids, np.flatnonzero(ids == 0))
         self._known = remember(self._known, view, ids, self._memory)
         return TrackedSegmentation(found, ids)
 
