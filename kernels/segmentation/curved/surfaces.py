@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from ..._jit.kernel import kernel
-from ...common.union_find import root_of
+from ...common.union_find import unite
 from ..model.moments import pixel_ray
 from ..model.pixel_noise import sensor_variance
 from ..model.records import as_view
@@ -45,7 +45,7 @@ def number_surfaces(view, reason, curved, least, surface):
             if reason[y, x] != curved:
                 continue
             count += 1
-            surface[y, x] = root = count
+            surface[y, x] = count
             parent[count] = count
             place[count, 0], place[count, 1] = y, x
             q = inverse_depth[y, x]
@@ -59,9 +59,7 @@ def number_surfaces(view, reason, curved, least, surface):
                     continue
                 other = surface[other_y, other_x]
                 if other > 0 and abs(inverse_depth[other_y, other_x] - q) <= most:
-                    other = root_of(parent, other)
-                    root, last = min(root, other), max(root, other)
-                    parent[last] = root
+                    unite(parent, count, other)
     size, label = np.zeros(pixels + 1, np.int32), np.zeros(pixels + 1, np.int32)
     for i in range(1, pixels + 1):  # a root is the first of its pixels
         parent[i] = parent[parent[i]]
