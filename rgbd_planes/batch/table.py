@@ -140,12 +140,11 @@ class Rows:
         values = [*segments.planes.T, segments.rmse, segments.rmse_metric, *covariances]
         self._status[here], self._kind[here] = TileStatus.OK, Primitive.PLANE
         self._valid_count[here] = segments.sizes
-        self._floats[:, here] = np.nan
+        self._floats[:, start : self._count] = np.nan  # what a row does not have
         self._floats[: len(values), here] = values
         if primitives is not None:
             self._status[rest], self._kind[rest] = primitives.status, primitives.kind
             self._valid_count[rest] = primitives.valid_count
-            self._floats[:, rest] = np.nan
             self._floats[:4, rest] = primitives.planes.T
             self._floats[4:6, rest] = primitives.rmse, primitives.rmse_metric
             named = [primitives.radius, primitives.radius_std, *primitives.centre.T, *primitives.axis.T]
