@@ -127,7 +127,7 @@ def _fit(found: LabelPixels, noise: PixelNoise) -> Fitted:
     write_errors_of_labels(
         found.pixels, found.places, found.first, (weights, shares), surfaces, noise.components, covariances, chances
     )
-    of_label = np.repeat(np.arange(count), np.diff(found.first))
-    weight = np.bincount(of_label, weights * weights, count).astype(np.float64)
-    counts = np.bincount(of_label, weights > 0.0, count).astype(np.int32)
+    row_of_pixel = np.repeat(np.arange(count), np.diff(found.first))
+    weight = np.bincount(row_of_pixel, weights * weights, count).astype(np.float64)
+    counts = np.bincount(row_of_pixel, weights > 0.0, count).astype(np.int32)
     return Fitted(surfaces, totals, covariances, chances, counts, weight, noise.spread)

@@ -16,10 +16,8 @@ from typing import Any
 import numba
 import numpy as np
 from numba import config
-from numpy.typing import NDArray
 
 from rgbd_planes._core import compile_notice
-from rgbd_planes._core.arrays import Floats
 from rgbd_planes.camera.camera import Camera
 from rgbd_planes.camera.depth_frame import DepthFrame, as_depth_frame
 from rgbd_planes.kernels._jit import kernel as jit
@@ -99,7 +97,8 @@ def _calls(dtype: str, is_disparity: bool) -> list[Call]:
     planes = plain(Planes(np.empty((1, 3)), np.empty(1), np.empty(1), np.empty(1), rays.stretch))
     view = plain(View(work.inverse_depth, rays, work.pyramid, noise, Rules(), work.sensor))
     q, noise, rules, contacts, pyramid = work.inverse_depth, view[3], view[4], plain(work.contacts), work.pyramid
-    reasons, alpha, flags, sizes, none = plain(Reasons(*np.zeros(7, np.uint8))), np.empty((1, 3)), *_of_one()
+    reasons, alpha = plain(Reasons(*np.zeros(7, np.uint8))), np.empty((1, 3))
+    flags, sizes, none = np.empty(1, np.bool_), np.empty(1), np.uint8(0)
     runs, parts = plain(work.runs), plain(Parts(moments, sizes, number, number, number, number))
     found = plain(Found(moments, sizes, moments, alpha, sizes, np.empty((1, 5)), np.empty(2, np.int32)))
     labels = plain(Labels(np.empty(camera.shape, np.int32), np.empty(camera.shape, np.uint8)))
@@ -136,10 +135,6 @@ def _calls(dtype: str, is_disparity: bool) -> list[Call]:
         (0.2, rename_pairs, (contacts[0], 1, number)),
         (0.2, nearest_surface, (pyramid, 1.0)),
     ]  # fmt: skip
-
-
-def _of_one() -> tuple[NDArray[np.bool_], Floats, np.uint8]:
-    return np.empty(1, np.bool_), np.empty(1), np.uint8(0)
 
 
 def _more_calls(dtype: str) -> list[Call]:
