@@ -26,7 +26,7 @@ from rgbd_planes.kernels.segmentation.assign.spread import move_on, spread_out
 from rgbd_planes.kernels.segmentation.blocks.pyramid import read_frame
 from rgbd_planes.kernels.segmentation.blocks.quadtree import join_blocks
 from rgbd_planes.kernels.segmentation.components.components import judge_parts, measure_parts
-from rgbd_planes.kernels.segmentation.components.labels import leave_out, list_strays, settle_strays, write_labels
+from rgbd_planes.kernels.segmentation.components.labels import leave_out, settle_strays, write_labels
 from rgbd_planes.kernels.segmentation.components.occlusion_gaps import join_across_gaps
 from rgbd_planes.kernels.segmentation.components.rim_outliers import release_rims
 from rgbd_planes.kernels.segmentation.components.runs import connect
@@ -113,9 +113,9 @@ def _calls(dtype: str, is_disparity: bool) -> list[Call]:
         (3.0, read_frame, (*values, rays, q, pyramid)),
         (2.5, weigh_planes, (labels[0], q, view[1], alpha, moments, 1.0, sizes)),
         (2.8, release_rims, (view, regions[3], regions[4], moments, sizes, 1, none, *labels)),
-        (2.0, connect, (regions, labels[0], runs)),
+        (2.0, connect, (regions, 8, runs)),
         (1.6, merge, (moments, contacts, 1, noise, rules, 1.0, number)),
-        (1.7, fit_interior, (view, labels, none, found)),
+        (1.7, fit_interior, (view, labels, none, found, work.edges)),
         (1.4, join_blocks, (view, block, work.owners.block, work.region_moments)),
         (1.3, find_doubtful, (moments, moments, number, noise, rules, flags, flags, flags)),
         (1.1, neighbours, (block, view[1], contacts)),
@@ -123,9 +123,8 @@ def _calls(dtype: str, is_disparity: bool) -> list[Call]:
                                 np.empty((1, 3, 3)), sizes, part)),
         (1.0, spread_out, (view, regions, planes)),
         (1.0, measure_parts, (view, runs, 1, moments, parts)),
-        (1.0, settle_strays, (reasons, 1, *labels, part, work.strays, 1)),
-        (0.4, list_strays, (reasons, *labels, work.strays)),
-        (0.7, write_labels, (q, runs, part, why, reasons, *labels)),
+        (1.0, settle_strays, (reasons, 1, *labels, part, work.edges, work.strays, 1)),
+        (1.1, write_labels, (q, runs, part, why, reasons, *labels, work.strays)),
         (0.7, judge_parts, (parts, flags, sizes, rules, 1, reasons, why, part, number)),
         (0.5, grow_together, (block, moments, noise, rules, number)),
         (0.4, move_on, (view, block, work.last_region, alpha)),

@@ -18,7 +18,7 @@ from rgbd_planes.camera.depth_frame import DepthFrame, as_depth_frame, step_of
 from rgbd_planes.camera.frame_warnings import warn_of_distances
 from rgbd_planes.kernels.segmentation.blocks.pyramid import read_frame
 from rgbd_planes.kernels.segmentation.components.components import judge_parts, measure_parts
-from rgbd_planes.kernels.segmentation.components.labels import leave_out, list_strays, settle_strays, write_labels
+from rgbd_planes.kernels.segmentation.components.labels import leave_out, settle_strays, write_labels
 from rgbd_planes.kernels.segmentation.components.occlusion_gaps import join_across_gaps
 from rgbd_planes.kernels.segmentation.components.rim_outliers import release_rims
 from rgbd_planes.kernels.segmentation.components.runs import connect
@@ -225,7 +225,7 @@ def _find_planes(
 ) -> Found:
     """Find the connected parts of regions that are planes, fit these, and write their labels."""
     seen, runs, least = plain(view), plain(work.runs), min(min_size, MIN_SIZE)
-    runs_found, count = connect(plain(regions), labels.label, runs)
+    runs_found, count = connect(plain(regions), labels.label.shape[1], runs)
     parts = Parts(np.empty((count, 10)), np.empty(count), *np.empty((4, count), np.int64))
     measure_parts(seen, runs, runs_found, regions.moments, plain(parts))
     why, number, chosen = np.empty(count, np.uint8), np.empty(count, np.int32), np.empty(count, np.int64)
@@ -237,16 +237,15 @@ def _find_planes(
     planes = join_across_gaps(seen, runs, runs_found, number, moments, deviation)
     planes = leave_out(min_size, _REASONS.small, number, why, moments[:planes], deviation[:planes])
     moments, deviation = moments[:planes], deviation[:planes]
-    write_labels(view.inverse_depth, runs, number, why, plain(_REASONS), *labels)
-    strays = list_strays(plain(_REASONS), *labels, work.strays)
+    strays = write_labels(view.inverse_depth, runs, number, why, plain(_REASONS), *labels, work.strays)
     owners, shares = plain(regions.owners), plain(regions.shares)
     release_rims(seen, owners, shares, moments, deviation, min_size, _REASONS.unclaimed, *labels)
     found = Found(
         moments, deviation, np.empty((planes, 10)), np.empty((planes, 3)), np.empty(planes), np.empty((planes, 5)),
         np.append(0, moments[:, 0]).astype(np.int32),
     )  # fmt: skip
-    fit_interior(seen, plain(labels), _REASONS.missing, plain(found))
-    settle_strays(plain(_REASONS), min_size, *labels, found.size, work.strays, strays)
+    edges = work.edges[: fit_interior(seen, plain(labels), _REASONS.missing, plain(found), work.edges)]
+    settle_strays(plain(_REASONS), min_size, *labels, found.size, edges, work.strays, strays)
     return found
 
 

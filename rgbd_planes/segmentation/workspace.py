@@ -91,7 +91,7 @@ class Workspace:
             np.empty((4 * blocks, 3)),
             np.zeros(1 << (4 * blocks).bit_length(), np.int32),
         )
-        self.strays = np.empty(pixels, np.int32)
+        self.strays, self.edges = np.empty((2, pixels), np.int32)
         self.runs = Runs(np.empty(camera.height + 1, np.int32), *np.empty((7, pixels), np.int32))
 
 

@@ -11,7 +11,7 @@ from rgbd_planes.camera.depth_frame import as_depth_frame
 from rgbd_planes.evaluation import scenes
 from rgbd_planes.kernels.segmentation.blocks.pyramid import read_frame
 from rgbd_planes.kernels.segmentation.blocks.quadtree import find_planar
-from rgbd_planes.kernels.segmentation.components.labels import leave_out, list_strays, settle_strays
+from rgbd_planes.kernels.segmentation.components.labels import leave_out, settle_strays
 from rgbd_planes.kernels.segmentation.merge.merge import number_regions
 from rgbd_planes.kernels.segmentation.model.records import BLOCK, Rays, Reasons, Rules, plain
 from rgbd_planes.kernels.segmentation.refit.interior import interior_moments
@@ -132,8 +132,10 @@ def test_pixels_inside_are_those_whose_neighbours_are_alike(height, width, seed,
     missing, unclaimed = np.uint8(1), np.uint8(2)
     reason = np.where(q > 0.0, np.where(labels > 0, 0, unclaimed), missing).astype(np.uint8)
     rays = Rays(u, v, u, v, 0.0, 0.0, np.empty((2, 0)), np.ones(1))
-    interior_moments(labels, reason, missing, q, rays, everything, found)
+    edges = np.empty(labels.size, np.int32)
+    count = interior_moments(labels, reason, missing, q, rays, everything, found, edges)
     surely = inside(labels, q > 0.0)
+    np.testing.assert_array_equal(edges[:count], np.flatnonzero((labels > 0) & ~surely))
     for label, all_of_it, row in zip((1, 2, 3), everything, found, strict=True):
         own = surely & (labels == label)
         if own.sum() < max(3, 0.5 * all_of_it[0]):
@@ -145,14 +147,18 @@ def test_pixels_inside_are_those_whose_neighbours_are_alike(height, width, seed,
 
 
 REASONS = plain(Reasons(*np.arange(7, dtype=np.uint8)))
-UNCLAIMED = Reasons._fields.index("unclaimed")
+UNCLAIMED, MISSING = Reasons._fields.index("unclaimed"), Reasons._fields.index("missing")
 
 
 def settled(label, reason, least=1000):
     """Settle the strays, and what is alone in labels of more than ``least`` pixels; returns the sizes of the labels."""
     sizes = np.bincount(label.ravel()).astype(np.int32)
-    places = np.empty(label.size, np.int32)
-    settle_strays(REASONS, least, label, reason, sizes, places, list_strays(REASONS, label, reason, places))
+    edges = np.flatnonzero((label > 0) & ~inside(label, reason != REASONS[MISSING])).astype(np.int32)
+    is_stray = np.isin(reason, [Reasons._fields.index(why) for why in ("unclaimed", "small", "narrow")])
+    is_stray[[0, -1]] = is_stray[:, [0, -1]] = False
+    places, strays = np.empty(label.size, np.int32), np.flatnonzero(is_stray)
+    places[: len(strays)] = strays
+    settle_strays(REASONS, least, label, reason, sizes, edges, places, len(strays))
     return sizes
 
 

@@ -5,7 +5,7 @@ import numpy as np
 from ..._jit.kernel import kernel
 from ...common.arrays import copy
 from ...common.bit_marks import list_marked, room_for_marks
-from ..model.records import Reasons, Runs
+from ..model.records import Reasons, Runs, place
 
 # Pixels of one label among the eight around one of them that may be there by chance.
 COMPANY = 2
@@ -44,8 +44,8 @@ def leave_out(min_size, small, number, why, moments, deviation):
 
 
 @kernel()
-def write_labels(inverse_depth, runs, number, why, reasons, label, reason):
-    """Write the labels and the reasons.
+def write_labels(inverse_depth, runs, number, why, reasons, label, reason, strays):
+    """Write the labels and the reasons, and list the strays.
 
     Parameters
     ----------
@@ -56,73 +56,74 @@ def write_labels(inverse_depth, runs, number, why, reasons, label, reason):
     reasons : Reasons
         Of the other pixels.
     label, reason : (H, W) int32 and uint8, written
+    strays : (H·W,) int32, written
+        Pixels, y · W + x, that no region has, or only a small or a narrow part, and that are beside a label.
+
+    Returns
+    -------
+    int
+        Number of strays.
     """
     runs, reasons = Runs(*runs), Reasons(*reasons)
-    unclaimed, missing = reasons.unclaimed, reasons.missing
-    width = label.shape[1]
-    for y in range(len(label)):
-        line, line_reason, q = label[y], reason[y], inverse_depth[y]
-        line[:] = 0
-        line_reason[:] = unclaimed
-        for k in range(runs.first[y], runs.first[y + 1]):
-            a, b = number[runs.part[k]], why[runs.part[k]]
-            for x in range(runs.start[k], runs.stop[k]):
-                line[x] = a
-            for x in range(runs.start[k], runs.stop[k]):
-                line_reason[x] = b
-        for x in range(width):
-            line[x] = line[x] if q[x] > 0.0 else 0
-        for x in range(width):
-            line_reason[x] = line_reason[x] if q[x] > 0.0 else missing
-
-
-@kernel()
-def list_strays(reasons, label, reason, places):
-    """List pixels, y · W + x, that no region has, or only a small or a narrow part, and that are beside a label.
-
-    ``label`` and ``reason`` are (H, W); ``places`` (H·W,) int32 is written. Returns how many there are.
-    """
-    reasons = Reasons(*reasons)
     height, width = label.shape
     stray, words, columns = room_for_marks(width)
     count = 0
-    for y in range(1, height - 1):
-        above, line, below, why = label[y - 1], label[y], label[y + 1], reason[y]
+    for y in range(height):
+        write_row(inverse_depth[y], runs, y, number, why, reasons, label[y], reason[y])
+        if y < 2:
+            continue
+        above, line, below, line_reason = label[y - 2], label[y - 1], label[y], reason[y - 1]
         for x in range(1, width - 1):
-            is_stray = (why[x] == reasons.unclaimed) | (why[x] == reasons.small) | (why[x] == reasons.narrow)
-            stray[x] = is_stray & (above[x] + below[x] + line[x - 1] + line[x + 1] > 0)
+            is_stray = line_reason[x] == reasons.unclaimed
+            is_stray |= (line_reason[x] == reasons.small) | (line_reason[x] == reasons.narrow)
+            stray[x] = is_stray & ((above[x] | below[x] | line[x - 1] | line[x + 1]) > 0)
         for i in range(list_marked(stray, words, True, columns)):
-            places[count] = y * width + columns[i]
+            strays[count] = (y - 1) * width + columns[i]
             count += 1
     return count
 
 
+@kernel(inline="compiled")
+def write_row(q, runs, y, number, why, reasons, label, reason):
+    """Write a row of `write_labels`."""
+    unclaimed, missing = reasons.unclaimed, reasons.missing
+    label[:] = 0
+    reason[:] = unclaimed
+    for k in range(runs.first[y], runs.first[y + 1]):
+        a, b = number[runs.part[k]], why[runs.part[k]]
+        for x in range(runs.start[k], runs.stop[k]):
+            label[x] = a
+        for x in range(runs.start[k], runs.stop[k]):
+            reason[x] = b
+    for x in range(len(q)):
+        label[x] = label[x] if q[x] > 0.0 else 0
+    for x in range(len(q)):
+        reason[x] = reason[x] if q[x] > 0.0 else missing
+
+
 @kernel()
-def list_powder(missing, least, label, reason, size, places, count):
+def list_powder(missing, least, label, reason, size, edges, places, count):
     """List the pixels of labels with at most COMPANY of their label around them, and more others, after ``count``.
 
     Of 3x3 pixels those that are not ``missing`` count. Returns how many are listed then, and takes the listed ones from
-    ``size`` (N + 1,) int32, of which ``least`` stay. Other arguments as in `list_strays`.
+    ``size`` (N + 1,) int32, of which ``least`` stay. Other arguments as in `settle_strays`.
     """
     height, width = label.shape
-    alone, words, columns = room_for_marks(width)
-    for y in range(1, height - 1):
-        above, line, below = label[y - 1], label[y], label[y + 1]
-        for x in range(1, width - 1):  # a quick test of most
-            a = line[x]
-            same = np.int32(above[x] == a) + np.int32(below[x] == a) + np.int32(line[x - 1] == a)
-            alone[x] = (a > 0) & (same + np.int32(line[x + 1] == a) <= COMPANY)
-        for i in range(list_marked(alone, words, True, columns)):
-            x = np.int64(columns[i])
-            a, same, others = line[x], -1, 0
-            for r in range(y - 1, y + 2):
-                for c in range(x - 1, x + 2):
-                    same += label[r, c] == a
-                    others += (label[r, c] != a) & (reason[r, c] != missing)
-            if same <= COMPANY and same < others and size[a] > least:
-                places[count] = y * width + x
-                count += 1
-                size[a] -= 1
+    for here in edges:
+        y, x = place(here, width)
+        if not (0 < y < height - 1 and 0 < x < width - 1):
+            continue
+        a, same, others = label[y, x], -1, 0
+        if (label[y - 1, x] == a) + (label[y + 1, x] == a) + (label[y, x - 1] == a) + (label[y, x + 1] == a) > COMPANY:
+            continue
+        for r in range(y - 1, y + 2):
+            for c in range(x - 1, x + 2):
+                same += label[r, c] == a
+                others += (label[r, c] != a) & (reason[r, c] != missing)
+        if same <= COMPANY and same < others and size[a] > least:
+            places[count] = here
+            count += 1
+            size[a] -= 1
     return count
 
 
@@ -141,7 +142,7 @@ def label_around(label, y, x):
 
 
 @kernel()
-def settle_strays(reasons, least, label, reason, size, places, count):
+def settle_strays(reasons, least, label, reason, size, edges, places, count):
     """Take the label from pixels that stand alone, and give strays that of FILLED pixels around them.
 
     Parameters
@@ -152,12 +153,14 @@ def settle_strays(reasons, least, label, reason, size, places, count):
     label, reason : (H, W) int32 and uint8, changed
     size : (N + 1,) int32, changed
         Pixels of each label.
+    edges : (E,) int32
+        Pixels with a label, y · W + x, that have a measured neighbour with another or none.
     places, count : (H·W,) int32 and int
-        From `list_strays`; overwritten.
+        From `write_labels`; overwritten.
     """
     reasons = Reasons(*reasons)
     width, found = label.shape[1], np.empty(label.size, np.int32)
-    strays, count = count, list_powder(reasons.missing, least, label, reason, size, places, count)
+    strays, count = count, list_powder(reasons.missing, least, label, reason, size, edges, places, count)
     for i in range(strays, count):
         label[places[i] // width, places[i] % width] = 0
         reason[places[i] // width, places[i] % width] = reasons.unclaimed

@@ -125,7 +125,7 @@ def sees_through(inverse_depth, rays, alpha, reach, y, x, down, gap):
 
 
 @kernel()
-def is_thin(runs, following, first, other, inverse_depth, rays, alpha, reach, down, widest):
+def is_thin(runs, following, first, other, inverse_depth, rays, alpha, reach, down, widest, look):
     """Whether what lies between two planes is longer than wide, and cannot be seen through.
 
     Parameters
@@ -142,6 +142,8 @@ def is_thin(runs, following, first, other, inverse_depth, rays, alpha, reach, do
         0 along rows, 1 along columns.
     widest : int
         Pixels of the widest gap that counts.
+    look : bool
+        Otherwise nothing is taken to be seen through: most gaps are too wide in any case.
     """
     height, width = inverse_depth.shape
     gaps = np.zeros(widest + 2, np.int64)  # closed ones of 0, 1, 2, ... pixels
@@ -152,15 +154,23 @@ def is_thin(runs, following, first, other, inverse_depth, rays, alpha, reach, do
         mine = 0 if first < other else 1
         k = min(first, other)
         first, other = (following[k], other) if mine == 0 else (first, following[k])
-        for c in range(runs.start[k], runs.stop[k] if down == 1 else runs.start[k] + 1):
-            at, line, end = (runs.row[k], c, runs.row[k] + 1) if down == 1 else (c, runs.row[k], runs.stop[k])
-            if left[1 - mine, line] > left[mine, line]:
-                gap = max(at - left[1 - mine, line], 0)
-                through = sees_through(inverse_depth, rays, alpha, reach, runs.row[k], c, down, gap)
+        y, start, stop = runs.row[k], runs.start[k], runs.stop[k]
+        # Along rows the one row of the run, and along columns its columns; where it begins and ends there.
+        line, after, begin, end = (start, stop, y, y + 1) if down == 1 else (y, y + 1, start, stop)
+        own, others = left[mine], left[1 - mine]
+        crosses = False
+        for i in range(line, after):
+            crosses |= others[i] > own[i]
+        for i in range(line, after if crosses else line):
+            if others[i] > own[i]:
+                gap = max(begin - others[i], 0)
+                x = i if down == 1 else begin
+                through = look and sees_through(inverse_depth, rays, alpha, reach, y, x, down, gap)
                 opened += through
                 closed += not through
                 gaps[min(gap, widest + 1)] += not through
-            left[mine, line] = end
+        for i in range(line, after):
+            own[i] = end
     if opened > SEE_THROUGH_SHARE * (opened + closed):
         return False
     crossed = 0
@@ -235,9 +245,11 @@ def join_across_gaps(view, runs, count, number, moments, deviation):
         for down in range(2):
             if not thin and may_be_thin(box, a, b, down):
                 widest = overlap(box, a, b, down)
-                thin = is_thin(
-                    runs, following, head[a], head[b], inverse_depth, rays, alpha[a], reach, down, widest
-                )  # fmt: skip
+                thin = True
+                for look in (False, True):
+                    thin = thin and is_thin(
+                        runs, following, head[a], head[b], inverse_depth, rays, alpha[a], reach, down, widest, look
+                    )
         if thin:
             unite(parent, a, b)
             one, other = min(one, other), max(one, other)

@@ -16,42 +16,38 @@ MISSING = np.int32(-1)
 ALL = np.int32((1 << BLOCK * BLOCK) - 1)
 
 
-@kernel()
-def write_share(pixels, region, top, left, image):
-    """Write a region to the pixels of a block, whose first pixel is at ``top`` and ``left``, that are its share."""
+@kernel(inline="compiled")
+def write_share(pixels, region, left, band):
+    """Write a region to the pixels of a block, whose first column is ``left``, that are its share."""
     while pixels != 0:
         p = lowest_bit(pixels)
         pixels &= pixels - np.int32(1)
-        image[top + p // BLOCK, left + p % BLOCK] = region
+        band[p // BLOCK, left + p % BLOCK] = region
 
 
-@kernel()
-def write_regions(regions, image):
-    """Write the region of each pixel, from 1 on, to ``image`` (H, W) int32; 0 for none, and MISSING.
+@kernel(arrays=False)
+def write_band(regions, row, band):
+    """Write the region of each pixel of a row of blocks, from 1 on, to ``band``; 0 for none, and MISSING.
 
-    Missing pixels of blocks that one region has are its own.
+    Missing pixels of blocks that one region has are its own. ``band`` is (BLOCK, W) int32, W filling whole blocks.
     """
     _, _, number, owners, shares = regions
-    height, width = image.shape
-    for row in range(-(-height // BLOCK)):
-        top, owner = row * BLOCK, owners.block[row]
-        bottom = min(top + BLOCK, height)
-        for x in range(width):
-            a = owner[x // BLOCK]
-            image[top, x] = number[a] + 1 if a >= 0 else MISSING if a == EMPTY else 0
-        for y in range(top + 1, bottom):
-            copy(image[top], image[y])
-        for column in range(-(-width // BLOCK)):
-            if owner[column] != MIXED:
-                continue
-            left, first = column * BLOCK, owners.first[row, column]
-            outside = np.int32(0)  # of the image
-            for p in range(BLOCK * BLOCK):
-                outside |= np.int32(top + p // BLOCK >= height or left + p % BLOCK >= width) << np.int32(p)
-            write_share(ALL & ~owners.measured[row, column] & ~outside, MISSING, top, left, image)
-            for s in range(first, first + owners.count[row, column]):
-                if number[shares.region[s]] >= 0:
-                    write_share(shares.pixels[s], number[shares.region[s]] + 1, top, left, image)
+    owner, first_line = owners.block[row], band[0]
+    for column in range(band.shape[1] // BLOCK):
+        a = owner[column]
+        region = number[a] + 1 if a >= 0 else MISSING if a == EMPTY else 0
+        for x in range(column * BLOCK, (column + 1) * BLOCK):
+            first_line[x] = region
+    for y in range(1, BLOCK):
+        copy(first_line, band[y])
+    for column in range(band.shape[1] // BLOCK):
+        if owner[column] != MIXED:
+            continue
+        left, first = column * BLOCK, owners.first[row, column]
+        write_share(ALL & ~owners.measured[row, column], MISSING, left, band)
+        for s in range(first, first + owners.count[row, column]):
+            if number[shares.region[s]] >= 0:
+                write_share(shares.pixels[s], number[shares.region[s]] + 1, left, band)
 
 
 @kernel(inline="compiled")
@@ -70,7 +66,7 @@ def unite_over_gap(parent, nearest, is_hole, region, row, k, first, stop):
 
 
 @kernel()
-def find_runs(image, runs):
+def connect(regions, width, runs):
     """List the runs of regions along the rows, and number their connected parts.
 
     Runs of a region are connected where their pixels touch, if only at a corner, or where at most GAP pixels of no
@@ -78,8 +74,9 @@ def find_runs(image, runs):
 
     Parameters
     ----------
-    image : (H, W) int32
-        From `write_regions`.
+    regions : Regions
+    width : int
+        Pixels in a row.
     runs : Runs, written
         With room for as many runs as there are pixels.
 
@@ -88,15 +85,19 @@ def find_runs(image, runs):
     tuple of int
         Numbers of runs and of parts.
     """
-    first, row, start, stop, region, starts, starts_down, part = runs
-    height, width = image.shape
+    regions = as_regions(regions)
+    first, row, start, stop, region, starts, starts_down, part = Runs(*runs)
+    height = len(first) - 1
+    band = np.empty((BLOCK, -(-width // BLOCK) * BLOCK), np.int32)
     change, words, columns = room_for_marks(width)
     nearest = np.full(width, np.int32(-1))  # the run with the nearest pixel above that has a region
     is_hole = np.ones(width, np.bool_)  # whether all pixels since are missing
-    parent = np.empty(image.size, np.int32)
+    parent = np.empty(len(row), np.int32)
     count = 0
     for y in range(height):
-        line, first[y], row_is_hole = image[y], count, True
+        if y % BLOCK == 0:
+            write_band(regions, y // BLOCK, band)
+        line, first[y], row_is_hole = band[y % BLOCK], count, True
         above = first[max(y - 1, 0)]  # the run of the row above that is next
         change[0] = True
         for x in range(1, width):
@@ -141,10 +142,3 @@ def find_runs(image, runs):
         part[k] = parts if root == k else part[root]
         parts += root == k
     return count, parts
-
-
-@kernel()
-def connect(regions, image, runs):
-    """Write `Regions` to ``image``, (H, W) int32, and its ``runs``; returns the numbers of runs and of parts."""
-    write_regions(as_regions(regions), image)
-    return find_runs(image, Runs(*runs))

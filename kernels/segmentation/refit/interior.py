@@ -9,7 +9,7 @@ import numpy as np
 
 from ..._jit.kernel import kernel
 from ...common.arrays import copy
-from ...common.bit_marks import room_for_marks
+from ...common.bit_marks import list_marked, room_for_marks
 from ...statistics.pixel_runs import add_row
 from ..model.moments import add, pixel_ray, residual
 from ..model.planes import fit_planes
@@ -55,7 +55,7 @@ def find_edges(label, reason, missing, y, torn, edge):
 
 
 @kernel()
-def interior_moments(label, reason, missing, inverse_depth, rays, moments, inside):
+def interior_moments(label, reason, missing, inverse_depth, rays, moments, inside, edges):
     """Moments of the pixels of each label whose eight neighbours, as far as they are measured, have it too.
 
     Parameters
@@ -70,24 +70,34 @@ def interior_moments(label, reason, missing, inverse_depth, rays, moments, insid
         Of all pixels of labels 1..N.
     inside : (N, 10) float64, written
         ``moments`` again, where too few pixels would be left, or they would determine no plane.
+    edges : (H·W,) int32, written
+        The other pixels, y · W + x.
+
+    Returns
+    -------
+    int
+        Number of the other pixels.
     """
     height, width = label.shape
     torn = np.zeros((2, width + 1), np.bool_)
-    edge = np.empty(width, np.bool_)
+    edge, words, columns = room_for_marks(width)
+    count = 0
     # Of the edges, in two sums each, of even columns and of odd ones: a pixel need not wait for the one beside it.
     sums = np.zeros((2, len(moments), 10))
     for y in range(height):
-        find_edges(label, reason, missing, y, torn, edge)
-        for x in range(width):
-            if not edge[x]:
-                continue
+        find_edges(label, reason, missing, y, torn, edge[:width])
+        for i in range(list_marked(edge, words, True, columns)):
+            x = np.int64(columns[i])
             u, v = pixel_ray(rays, y, x)
             add(sums[x % 2, label[y, x] - 1], u, v, inverse_depth[y, x])
+            edges[count] = y * width + x
+            count += 1
     for k in range(len(moments)):
         for j in range(10):
             inside[k, j] = moments[k, j] - (sums[0, k, j] + sums[1, k, j])
         if inside[k, 0] < LEAST_INSIDE * moments[k, 0] or residual(inside[k]) < 0.0:
             copy(moments[k], inside[k])
+    return count
 
 
 @kernel()
@@ -117,8 +127,8 @@ def runs_inside(label, reason, missing, moments, inside, found):
 
 
 @kernel()
-def fit_interior(view, labels, missing, found):
-    """Fit the planes to the pixels that are surely theirs.
+def fit_interior(view, labels, missing, found, edges):
+    """Fit the planes to the pixels that are surely theirs; returns how many others have a label.
 
     Parameters
     ----------
@@ -128,8 +138,13 @@ def fit_interior(view, labels, missing, found):
         See `interior_moments`.
     found : Found
         ``inside``, ``alpha``, ``rss`` and ``weighted`` are written.
+    edges : (H·W,) int32, written
+        The others.
     """
     view, found, labels = as_view(view), Found(*found), Labels(*labels)
-    interior_moments(labels.label, labels.reason, missing, view.inverse_depth, view.rays, found.moments, found.inside)
+    count = interior_moments(
+        labels.label, labels.reason, missing, view.inverse_depth, view.rays, found.moments, found.inside, edges
+    )
     fit_planes(found.inside, found.alpha, found.rss)
     weigh_rays(labels.label, view.pyramid, found.inside, found.alpha, found.rss, found.weighted)
+    return count
