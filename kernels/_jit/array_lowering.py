@@ -1,4 +1,4 @@
-"""How Numba translates arrays in these kernels: four costs of what Python allows, and kernels do not need.
+"""How Numba translates these kernels: five costs of what Python allows, and kernels do not need.
 
 - An index counts from the end only if it is spelled out, as in ``a[-1]``. Numba would test every other, too, unless the
   compiler can see that it is not negative: 2 to 5 % of the time. ``NUMBA_BOUNDSCHECK=1`` finds those that are.
@@ -10,6 +10,8 @@
 - Data of an array that a kernel makes lie within what it allocated for it, where nothing else does. Numba looks up
   their place, and the compiler takes them for anybody's: before each loop it would compare all arrays' places, and go
   slowly where there are too many, or the loop is short.
+- A function that only kernels call has no wrapper through which Python would call it. Wrappers, which take arrays out
+  of tuples one by one, are a ninth of the time to compile.
 """
 
 import contextlib
@@ -18,11 +20,13 @@ from typing import Any
 
 CACHE_LINE = 64
 """Bytes of a line of the cache."""
+KERNELS = __name__.removesuffix("_jit.array_lowering")
+"""How the names of the kernels' modules begin."""
 
 
 @contextlib.contextmanager
-def as_kernels_need() -> Iterator[None]:
-    """Translate so what is compiled meanwhile; other libraries' kernels wait for Numba's lock."""
+def as_kernels_need(function: Any) -> Iterator[None]:
+    """Translate so what is compiled while a function that Python calls is; other libraries' wait for Numba's lock."""
     with contextlib.ExitStack() as stack:
         with contextlib.suppress(ImportError, AttributeError):  # a later Numba may differ inside
             from numba.core.registry import cpu_target
@@ -37,6 +41,11 @@ def as_kernels_need() -> Iterator[None]:
             from numba.core.runtime.context import NRTContext
 
             stack.enter_context(replaced(NRTContext, "meminfo_data", _data_within(NRTContext.meminfo_data)))
+        with contextlib.suppress(ImportError, AttributeError):
+            from numba.core.cpu import CPUContext
+
+            wrap = _wrap_only(function, CPUContext.create_cpython_wrapper)
+            stack.enter_context(replaced(CPUContext, "create_cpython_wrapper", wrap))
         with contextlib.suppress(ImportError, AttributeError):
             from numba.core.pythonapi import PythonAPI
 
@@ -63,6 +72,17 @@ def _borrow_array(python: Any, array: Any, struct: Any) -> Any:
 
     kind = ir.FunctionType(ir.IntType(32), [python.pyobj, python.voidptr])
     return python.builder.call(python._get_function(kind, name="numba_adapt_ndarray"), (array, struct))
+
+
+def _wrap_only(function: Any, wrap: Any) -> Any:
+    """Wrap one kernel for Python, and none that it calls."""
+
+    def wrap_outermost(context: Any, library: Any, description: Any, *others: Any, **options: Any) -> None:
+        is_outermost = (description.modname, description.qualname) == (function.__module__, function.__qualname__)
+        if is_outermost or not description.modname.startswith(KERNELS):
+            wrap(context, library, description, *others, **options)
+
+    return wrap_outermost
 
 
 def _data_within(data_of: Any) -> Any:

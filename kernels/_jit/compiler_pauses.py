@@ -46,10 +46,10 @@ with contextlib.suppress(ValueError, OverflowError):  # a later Python may limit
     _with_room.__code__ = _with_room.__code__.replace(co_stacksize=ROOM)
 
 
-def without_haste(compiler: Callable[..., Any]) -> Callable[..., Any]:
+def without_haste(compiler: Callable[..., Any], function: Any) -> Callable[..., Any]:
     """Make garbage collection wait for a compiler, its frames have room, and arrays be translated as kernels need.
 
-    Numba lets one thread at a time compile, and what a kernel calls is compiled while the kernel is.
+    Numba lets one thread at a time compile, and what a kernel calls is compiled while the kernel, ``function``, is.
     """
 
     def compile_counted(*args: Any) -> Any:
@@ -68,7 +68,7 @@ def without_haste(compiler: Callable[..., Any]) -> Callable[..., Any]:
         if 0 < before < PATIENCE:  # neither off nor already as patient
             gc.set_threshold(PATIENCE, *others)
         try:
-            with as_kernels_need():
+            with as_kernels_need(function):
                 return _with_room(compile_counted, *args)
         finally:
             is_compiling = False

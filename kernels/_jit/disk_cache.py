@@ -157,11 +157,11 @@ class Cache(FunctionCache):
 
     _impl_class = Compiled
 
-    def __init__(self, function: Callable[..., Any]) -> None:
+    def __init__(self, function: Callable[..., Any], suffix: str) -> None:
         super().__init__(function)
         installed = Installed(function, function.__code__.co_filename).get_cache_path()
         with contextlib.suppress(AttributeError):  # a later Numba may differ inside: its own files then
-            base, module = self._impl.filename_base, function.__module__
+            base, module = self._impl.filename_base + suffix, function.__module__
             self._cache_file = CacheFiles(self._cache_path, installed, base, module)
 
     @property

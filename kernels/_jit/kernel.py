@@ -69,9 +69,30 @@ def _imported(path: Path, source: str) -> list[Path]:
     return sorted(set(found))
 
 
-def _of_any_value(template: Callable[..., Any]) -> Callable[..., Any]:
-    """Have a kernel compiled once for all numbers of a type, instead of again for those that its callers spell out."""
-    return lambda args, kws: template(tuple(map(unliteral, args)), {name: unliteral(kws[name]) for name in kws})
+def _let_kernels_call(dispatcher: Any, part: Callable[[], Any]) -> None:
+    """Have other kernels call a function that is compiled for them alone, as a part of them that Python can't call.
+
+    It is compiled once for all numbers of a type, instead of again for those that callers spell out.
+    """
+
+    def get_call_template(args: Any, kws: Any) -> Any:
+        return part().get_call_template(tuple(map(unliteral, args)), {name: unliteral(kws[name]) for name in kws})
+
+    dispatcher.get_call_template, dispatcher.get_overload = get_call_template, lambda sig: part().get_overload(sig)
+
+
+def _dispatcher(function: Callable[..., Any], options: dict[str, Any], suffix: str) -> Any:
+    """Numba's dispatcher of a function; compiled code is saved under its name and a suffix."""
+    global has_cache
+    dispatcher = numba.njit(**options)(function)
+    with contextlib.suppress(AttributeError):  # a later Numba may differ inside: its own way then
+        dispatcher._compiler.compile = without_haste(dispatcher._compiler.compile, function)
+    try:
+        dispatcher._cache = Cache(function, suffix)
+        has_cache &= dispatcher._cache.saves
+    except RuntimeError:  # not even a place to read from
+        has_cache = False
+    return dispatcher
 
 
 def kernel(
@@ -109,18 +130,10 @@ def kernel(
 
     def compile_lazily(function: Function) -> Function:
         function.__qualname__ = f"{function.__qualname__}_{_digest(function.__code__.co_filename)}"
-        global has_cache
         if numba.config.DISABLE_JIT:  # plain Python: as silent as compiled code of what is divided by 0 or overflows
             return cast(Function, np.errstate(all="ignore")(function))
-        dispatcher = numba.njit(**options)(function)
-        with contextlib.suppress(AttributeError):  # a later Numba may differ inside: its own way then
-            dispatcher._compiler.compile = without_haste(dispatcher._compiler.compile)
-            dispatcher.get_call_template = _of_any_value(dispatcher.get_call_template)
-        try:
-            dispatcher._cache = Cache(function)
-            has_cache &= dispatcher._cache.saves
-        except RuntimeError:  # not even a place to read from
-            has_cache = False
+        dispatcher = _dispatcher(function, options, "")
+        _let_kernels_call(dispatcher, functools.cache(lambda: _dispatcher(function, options, "-part")))
         return cast(Function, dispatcher)
 
     return compile_lazily

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numba import config
 from numba.core import event
+from numba.core.cpu import CPUContext
 from numba.core.registry import cpu_target
 from processes import printed_by
 
@@ -57,8 +58,9 @@ def test_kernels_are_compiled_once_for_all_numbers_of_a_type():
             number = plus_one(number)
         return plus_one(7) + number
 
+    before = compiler_pauses.compiled
     assert jit.kernel()(count)(3) == 11
-    assert plus_one.signatures == [(numba.types.int64,)]
+    assert compiler_pauses.compiled == before + 2
 
 
 def test_kernels_are_counted_when_they_are_compiled():
@@ -101,7 +103,7 @@ def test_garbage_waits_while_kernels_compile(given, during, witness):
     inner = numba.njit(double)
     outer = numba.njit(lambda x: inner(inner(x)))
     for dispatcher in (inner, outer):
-        dispatcher._compiler.compile = compiler_pauses.without_haste(dispatcher._compiler.compile)
+        dispatcher._compiler.compile = compiler_pauses.without_haste(dispatcher._compiler.compile, dispatcher.py_func)
     gc.set_threshold(given, 11)
     as_given, seen = gc.get_threshold(), []
     compile_inner = inner._compiler.compile
@@ -114,14 +116,14 @@ def test_garbage_waits_while_kernels_compile(given, during, witness):
 
 
 def test_what_somebody_sets_meanwhile_stays(witness):
-    assert compiler_pauses.without_haste(lambda: gc.set_threshold(1234))() is None
+    assert compiler_pauses.without_haste(lambda: gc.set_threshold(1234), None)() is None
     assert gc.get_threshold()[0] == 1234
 
 
 def test_all_is_as_before_if_compiling_fails(witness):
     gc.set_threshold(700)
     with pytest.raises(ZeroDivisionError):
-        compiler_pauses.without_haste(lambda: 1 / 0)()
+        compiler_pauses.without_haste(lambda: 1 / 0, None)()
     assert gc.get_threshold()[0] == 700
     assert not compiler_pauses.is_compiling
 
@@ -141,7 +143,7 @@ def test_no_call_takes_memory_from_the_system():
         here = faults() - before
         return max(here, most_faults(depth - 1)) if depth else here
 
-    assert compiler_pauses.without_haste(most_faults)(400) < 500
+    assert compiler_pauses.without_haste(most_faults, None)(400) < 500
 
 
 FORK_WHILE_A_THREAD_COMPILES = """
@@ -298,6 +300,26 @@ def test_loops_do_not_compare_where_arrays_of_kernels_lie():
     (code,), (elsewhere_code,) = kernel.inspect_llvm().values(), elsewhere.inspect_llvm().values()
     assert "memcheck" not in code
     assert config.BOUNDSCHECK or "memcheck" in elsewhere_code
+
+
+def test_only_the_kernel_that_python_calls_is_wrapped_for_it(monkeypatch):
+    """What only kernels call, Python can call later."""
+    wrapped, wrap = [], CPUContext.create_cpython_wrapper
+
+    def witnessed(context, library, description, *others, **options):
+        wrapped.append(description.qualname.rpartition("_")[0])
+        wrap(context, library, description, *others, **options)
+
+    monkeypatch.setattr(array_lowering, "KERNELS", __name__)
+    monkeypatch.setattr(CPUContext, "create_cpython_wrapper", witnessed)
+    half = jit.kernel()(lambda x: x / 2)
+    quarter = jit.kernel()(lambda x: half(half(x)))
+    quarter.py_func.__qualname__ = "quarter_0"
+    half.py_func.__qualname__ = "half_0"
+    assert quarter(1.0) == 0.25
+    assert wrapped == ["quarter"]
+    assert half(1.0) == 0.5
+    assert wrapped == ["quarter", "half"]
 
 
 def test_what_a_later_numba_may_not_have_is_left_alone():
