@@ -109,5 +109,10 @@ def _describe(surface: Floats, covariance: Floats, which: int, made: dict[str, n
         by[AXIS, 1], by[AXIS, 4] = -sign * n, sign * b
         made["axis"][k] = sign * a
     made["centre"][k] = centre
-    whole = by @ covariance @ by.T
-    made["covariance"][k] = 0.5 * (whole + whole.T)
+    # Where a label hardly determines its surface, rounding leaves negative directions.
+    deviation = np.sqrt(np.diagonal(covariance))
+    scale = np.outer(deviation, deviation)
+    correlation = np.divide(covariance, scale, out=np.zeros_like(covariance), where=scale > 0.0)
+    values, directions = np.linalg.eigh(0.5 * (correlation + correlation.T))
+    root = (by * deviation) @ (directions * np.sqrt(np.maximum(values, 0.0)))
+    made["covariance"][k] = root @ root.T

@@ -229,6 +229,24 @@ def test_errors_that_neighbours_share_are_in_the_covariance_and_the_chances(name
     assert independent.radius_std[0] < 0.7 * predicted[-1]
 
 
+@pytest.mark.filterwarnings("ignore::UserWarning")  # of such focal lengths and depths
+def test_covariances_of_surfaces_that_pixels_hardly_determine_have_no_negative_direction():
+    camera = rp.Camera(24, 24, 7e7, 7e7, 12.0, 12.0, noise=rp.noise.kinect_v1())
+    found = 0
+    for seed in range(15, 30):
+        rng = np.random.default_rng(seed)
+        depth = 10.0 ** rng.uniform(0.0, 12.0, camera.shape)
+        labels = np.zeros(camera.shape, int)
+        labels.ravel()[rng.choice(labels.size, 8, replace=False)] = 1
+        fits = rp.fit_primitives(depth, camera, labels, significance=0.0)
+        found += np.count_nonzero(fits.kind)
+        for covariance in fits.covariance[fits.kind != rp.Primitive.NONE]:
+            deviation = np.sqrt(np.diagonal(covariance))
+            scale = np.where(deviation > 0.0, deviation, 1.0)
+            assert np.linalg.eigvalsh(covariance / np.outer(scale, scale)).min() > -1e-13
+    assert found > 10
+
+
 def test_outliers_at_a_rim_are_left_out_and_counted():
     _, q = rays_and_q("pipe")
     depth = frame_of(q, SIGMA)

@@ -143,3 +143,23 @@ def test_that_of_depths_a_thousandfold_apart(method):
     q = np.abs(np.random.default_rng(1).standard_normal(camera.shape))
     found = rp.fit_tiles(1.0 / np.maximum(0.05 * q, 1e-5), camera, TILE, method)
     check(found, found.fitted)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_normals_that_err_far_less_than_alpha(method, rng):
+    """Their variances were differences of those of α, with hardly a digit left where a pixel sees nearly everything."""
+    camera = rp.Camera(WIDTH, HEIGHT, 0.02, 0.02, 27.5, 19.5, noise=rp.noise.time_of_flight(0.002))
+    found = rp.fit_tiles(rng.uniform(1.0, 3.0, camera.shape), camera, TILE, method)
+    covariance = found.plane_covariance[found.fitted]
+    scale = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    scale[:, :3] = np.sqrt((scale[:, :3] ** 2).sum(axis=1, keepdims=True))
+    assert np.linalg.eigvalsh(covariance / scale[:, :, None] / scale[:, None, :]).min() > -ROUNDING
+
+
+def test_those_of_segments_are_finite_at_the_ends_of_float32():
+    """The product of two variances was infinite, of which the root is taken."""
+    camera = rp.Camera(WIDTH, HEIGHT, 60.0, 55.0, 27.5, 19.5, noise=rp.noise.time_of_flight(1e9))
+    found = rp.segment(np.full(camera.shape, 1e-36, np.float32), camera)
+    assert len(found) == 1
+    assert np.isfinite(found.alpha_covariance).all()
+    assert np.isfinite(found.plane_covariance).all()

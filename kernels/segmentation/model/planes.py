@@ -57,11 +57,10 @@ def plane_covariance(m, weighted, variance_x, variance_y, mean_variance, more, s
     rays = weighted[0], weighted[1], weighted[2], weighted[3], weighted[4]
     _, slopes, with_mean = sandwich(n, u, v, m[4] - n * u * u, m[5] - n * u * v, m[7] - n * v * v, rays)
     a, c = slopes[0] * variance_x, slopes[2] * variance_y
-    b = slopes[1] * math.sqrt(variance_x * variance_y)
-    a_mean, b_mean = (
-        with_mean[0] * math.sqrt(variance_x * mean_variance),
-        with_mean[1] * math.sqrt(variance_y * mean_variance),
-    )
+    deviation_x, deviation_y, mean_deviation = math.sqrt(variance_x), math.sqrt(variance_y), math.sqrt(mean_variance)
+    b = slopes[1] * (deviation_x * deviation_y)
+    a_mean = with_mean[0] * (deviation_x * mean_deviation)
+    b_mean = with_mean[1] * (deviation_y * mean_deviation)
     a, b, c = a + more * shared[0], b + more * shared[1], c + more * shared[2]
     a_mean, b_mean, mean = a_mean + more * shared[3], b_mean + more * shared[4], mean_variance / n + more * shared[5]
     covariance[0, 0], covariance[0, 1], covariance[1, 1] = a, b, c

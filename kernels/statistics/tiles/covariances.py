@@ -178,12 +178,22 @@ def uneven_covariances(block, shape_terms):
         write_covariances(i, aa, ab, bb, a_mean, b_mean, mean, block)
 
 
+@kernel(inline=True)
+def products(by_a, by_b, by_mean, aa, ab, bb, a_mean, b_mean, mean):
+    """A row times the covariance of (a, b, mean)."""
+    return (
+        by_a * aa + by_b * ab + by_mean * a_mean,
+        by_a * ab + by_b * bb + by_mean * b_mean,
+        by_a * a_mean + by_b * b_mean + by_mean * mean,
+    )
+
+
 @kernel(reduction=True, inline=True)
 def write_covariances(i, aa, ab, bb, a_mean, b_mean, mean, block):
     """Covariances of α = (a, b, c) and of (n, d), and deviations, from those of a, b and the mean inverse depth.
 
-    For (n, d) to first order: dn = -d·P·dα and dd = d²·nᵀdα with P = I - nnᵀ, so Σn = d²PΣP, cov(n, d) = -d³PΣn,
-    σd² = d⁴nᵀΣn.
+    With α = T(a, b, mean) and P = I - nnᵀ, dn = -d·PT(da, db, dmean) and dd = d²·nᵀT(da, db, dmean) to first order. PT
+    is taken as a whole: a normal's variances may be so much smaller than those of α that no digit of them is in these.
     """
     mean_u, mean_v = block[1, i], block[2, i]
     x, y, z, d = block[N_X, i], block[N_Y, i], block[N_Z, i], block[D, i]
@@ -197,30 +207,34 @@ def write_covariances(i, aa, ab, bb, a_mean, b_mean, mean, block):
     block[ALPHA + 3, i] = bb
     block[ALPHA + 4, i] = bc
     block[ALPHA + 5, i] = cc
-    # Σn and s = nᵀΣn; with h = Σn - sn/2, PΣP = Σ - nhᵀ - hnᵀ.
-    s_x = aa * x + ab * y + ac * z
-    s_y = ab * x + bb * y + bc * z
-    s_z = ac * x + bc * y + cc * z
-    s = x * s_x + y * s_y + z * s_z
-    h_x = s_x - 0.5 * s * x
-    h_y = s_y - 0.5 * s * y
-    h_z = s_z - 0.5 * s * z
+    # Rows of PT, and nᵀT.
+    tilt = x * x + y * y
+    x_a, x_b, x_m = y * y + z * z + mean_u * x * z, mean_v * x * z - x * y, -x * z
+    y_a, y_b, y_m = mean_u * y * z - x * y, x * x + z * z + mean_v * y * z, -y * z
+    z_a, z_b, z_m = -x * z - mean_u * tilt, -y * z - mean_v * tilt, tilt
+    d_a, d_b, d_m = x - mean_u * z, y - mean_v * z, z
+    # Their products with the covariance of (a, b, mean).
+    a_x, b_x, m_x = products(x_a, x_b, x_m, aa, ab, bb, a_mean, b_mean, mean)
+    a_y, b_y, m_y = products(y_a, y_b, y_m, aa, ab, bb, a_mean, b_mean, mean)
+    a_z, b_z, m_z = products(z_a, z_b, z_m, aa, ab, bb, a_mean, b_mean, mean)
+    a_d, b_d, m_d = products(d_a, d_b, d_m, aa, ab, bb, a_mean, b_mean, mean)
     square = d * d
     cube = -square * d
-    xx = square * (aa - 2.0 * h_x * x)
-    yy = square * (bb - 2.0 * h_y * y)
-    zz = square * (cc - 2.0 * h_z * z)
+    xx = square * (x_a * a_x + x_b * b_x + x_m * m_x)
+    yy = square * (y_a * a_y + y_b * b_y + y_m * m_y)
+    zz = square * (z_a * a_z + z_b * b_z + z_m * m_z)
+    s = d_a * a_d + d_b * b_d + d_m * m_d
     # What rounding leaves of a variance that is 0.
     xx, yy, zz = max(xx, 0.0) + nothing, max(yy, 0.0) + nothing, max(zz, 0.0) + nothing
     block[PLANE, i] = xx
-    block[PLANE + 1, i] = square * (ab - x * h_y - h_x * y)
-    block[PLANE + 2, i] = square * (ac - x * h_z - h_x * z)
-    block[PLANE + 3, i] = cube * (s_x - s * x)
+    block[PLANE + 1, i] = square * (x_a * a_y + x_b * b_y + x_m * m_y)
+    block[PLANE + 2, i] = square * (x_a * a_z + x_b * b_z + x_m * m_z)
+    block[PLANE + 3, i] = cube * (x_a * a_d + x_b * b_d + x_m * m_d)
     block[PLANE + 4, i] = yy
-    block[PLANE + 5, i] = square * (bc - y * h_z - h_y * z)
-    block[PLANE + 6, i] = cube * (s_y - s * y)
+    block[PLANE + 5, i] = square * (y_a * a_z + y_b * b_z + y_m * m_z)
+    block[PLANE + 6, i] = cube * (y_a * a_d + y_b * b_d + y_m * m_d)
     block[PLANE + 7, i] = zz
-    block[PLANE + 8, i] = cube * (s_z - s * z)
+    block[PLANE + 8, i] = cube * (z_a * a_d + z_b * b_d + z_m * m_d)
     offset_variance = square * square * (max(s, 0.0) + nothing)
     block[PLANE + 9, i] = offset_variance
     block[ANGLE, i] = math.sqrt(xx + yy + zz) * (180.0 / math.pi)
