@@ -1,5 +1,7 @@
 """Which call or format the input of a number goes to, and what comes of it."""
 
+import traceback
+
 import numpy as np
 
 from . import calls, formats
@@ -29,3 +31,11 @@ def run(seed, kind="all"):
         return name, formats.outcome(name, seed)
     use, _ = (calls.CALLS | calls.RARE)[name]
     return name, calls.outcome(use, seed)
+
+
+def tried(seed, kind="all"):
+    """`run`, and with "broken" what was raised, in a line and as a traceback, if a promise was broken."""
+    try:
+        return *run(seed, kind), None
+    except Exception as error:
+        return chosen(seed, kind), "broken", (f"{type(error).__name__}: {error}", traceback.format_exc())

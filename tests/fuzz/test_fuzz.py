@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rgbd_planes as rp
-from fuzz import calls, formats
+from fuzz import __main__, calls, formats
 from fuzz.run import chosen, run
 
 INPUTS = 2000
@@ -34,6 +34,15 @@ def test_files_that_are_not_damaged_are_read(name, tmp_path):
 def test_each_call_has_its_share():
     names = {chosen(seed) for seed in range(20_000)}
     assert names == {*calls.CALLS, *calls.RARE, *formats.FORMATS}
+
+
+def test_processes_share_the_inputs(capsys):
+    said = []
+    for processes in ("1", "2"):
+        assert __main__.main(["--kind", "camera", "--inputs", "120", "--processes", processes]) == 0
+        *counts, _ = capsys.readouterr().out.splitlines()
+        said.append(counts)
+    assert said[0] == said[1]
 
 
 @pytest.mark.parametrize("focal", [1e-5, -1e-3, 9e-3])
