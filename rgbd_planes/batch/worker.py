@@ -21,7 +21,7 @@ from rgbd_planes.batch.table import KEY, Columns, Grid, Rows, empty_rows
 from rgbd_planes.camera.camera import Camera, check_camera
 from rgbd_planes.camera.depth_frame import as_depth_frame
 from rgbd_planes.camera.frame import Frame
-from rgbd_planes.camera.frame_warnings import warn_of_distances, warn_of_noise
+from rgbd_planes.camera.frame_warnings import warn_of_distances, warn_of_noise, warn_of_reach
 from rgbd_planes.fitting.methods import METHODS
 from rgbd_planes.fitting.surfaces.tile_surfaces import TileSurfaces
 from rgbd_planes.fitting.surfaces.tiles import SurfaceFitter
@@ -205,6 +205,7 @@ def fit_part(
                     depth = as_depth_frame(frame.depth, frame.camera)
                     warn_of_noise(depth, frame.camera.noise)
                     warn_of_distances(depth, frame.camera)
+                    warn_of_reach(depth, frame.camera)
             asked = True
         except Exception as error:  # whatever is wrong with one frame, the others are still wanted
             problems.append(Problem(first + i, entry.name, reason_to_skip(error, entry.name)))

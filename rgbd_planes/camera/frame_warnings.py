@@ -1,4 +1,4 @@
-"""Warnings that a frame itself gives reason for: distances along the ray, inverse depths, noise in other units."""
+"""Warnings that a frame itself gives reason for: distances along the ray, inverse depths, other units."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from rgbd_planes._core.arrays import Floats
 from rgbd_planes._core.user_warnings import warn_caller
+from rgbd_planes.camera import presets
 from rgbd_planes.camera.camera import Camera
 from rgbd_planes.camera.depth_frame import DepthFrame, some_of
 from rgbd_planes.noise.sigma import warn_of_large_noise
@@ -29,6 +30,29 @@ _UNLIKE = 0.2
 _FLAT = 0.04
 _OF_FLOAT16 = 5e-4  # the same of floats of 16 bits, whose steps alone may be flatter as numbers
 _STEPS = 9  # between the different values of a window: an upright wall has one value in each column
+# Metres: the drivers of a Kinect v1 and its kin give no more. What is more than so many units means missing.
+_REACH, _LARGEST = 10.0, 32766
+
+
+def warn_of_reach(frame: DepthFrame, camera: Camera) -> None:
+    """Warn of integers a tenth of which are beyond what a preset's sensor gives: most likely in another unit."""
+    if frame.is_disparity or frame.step == 0.0:
+        return
+    sample = some_of(frame.raw)
+    measured = sample[(sample >= frame.lowest) & (sample <= frame.highest) & (sample <= _LARGEST)]
+    too_far = np.count_nonzero(measured > _REACH * frame.scale)
+    if 10 * too_far > len(measured) and camera._lens in _lenses_that_end():
+        warn_caller(
+            f"with a depth_scale of {frame.scale:g} per metre {too_far / len(measured):.0%} of this frame are beyond "
+            f"{_REACH:g} m, where a Kinect v1 measures nothing: files of TUM RGB-D and ICL-NUIM have depth_scale=5000, "
+            "on the command line --depth-scale 5000"
+        )
+
+
+@functools.cache
+def _lenses_that_end() -> frozenset[Camera]:
+    """The presets whose sensor gives nothing beyond a distance, without their units."""
+    return frozenset(make()._lens for make in (presets.kinect_v1, presets.kinect_v1_infrared, presets.seven_scenes))
 
 
 def warn_of_distances(frame: DepthFrame, camera: Camera) -> None:

@@ -168,7 +168,7 @@ def read_frame(arguments: argparse.Namespace) -> "tuple[NDArray[Any], Camera, in
     from rgbd_planes._core.files import naming
     from rgbd_planes.camera.depth_frame import as_depth_frame
     from rgbd_planes.camera.frame import Frame
-    from rgbd_planes.camera.frame_warnings import warn_of_distances
+    from rgbd_planes.camera.frame_warnings import warn_of_distances, warn_of_reach
     from rgbd_planes.sequences.images import read_depth
 
     camera = camera_of(arguments)
@@ -177,6 +177,7 @@ def read_frame(arguments: argparse.Namespace) -> "tuple[NDArray[Any], Camera, in
         frame = as_depth_frame(depth, camera)
     if frame.valid.any():
         warn_of_distances(frame, camera)
+        warn_of_reach(frame, camera)
         return depth, camera, 0
     known = depth[np.isfinite(depth)]
     reason = f"the values are {known.min():g} to {known.max():g}" if known.size else "all values are NaN or infinite"

@@ -15,7 +15,7 @@ from rgbd_planes._core.status import Reason
 from rgbd_planes._core.user_warnings import warn_caller
 from rgbd_planes.camera.camera import Camera, check_camera
 from rgbd_planes.camera.depth_frame import DepthFrame, as_depth_frame, step_of
-from rgbd_planes.camera.frame_warnings import warn_of_distances
+from rgbd_planes.camera.frame_warnings import warn_of_distances, warn_of_reach
 from rgbd_planes.kernels.segmentation.blocks.pyramid import read_frame
 from rgbd_planes.kernels.segmentation.components.components import judge_parts, measure_parts
 from rgbd_planes.kernels.segmentation.components.labels import leave_out, settle_strays, write_labels
@@ -97,7 +97,8 @@ def segment(
         Something in the frame is most likely not meant as it is, such as its unit: `fit_tiles` lists what. Or the frame
         is several times as rough as `noise`, and less than half of it is on planes: another sensor's noise, most
         likely. Or `noise` is more than a fifth of 1/Z: in other units, most likely. Or surfaces without noise are bent
-        as depth, and flat as distances along the ray.
+        as depth, and flat as distances along the ray. Or a tenth of an integer frame by the preset of a Kinect v1 is
+        beyond 10 m, where that sensor measures nothing.
 
     Notes
     -----
@@ -197,6 +198,7 @@ def _segment(
             "either hardly anything in it is flat over 8 pixels, or that noise is another sensor's, or not in 1/m. "
             "Without it the frame tells its own, and rp.estimate_noise finds that of a sensor"
         )
+    warn_of_reach(frame, camera)
     if about_noise.is_exact:
         warn_of_distances(frame, camera)
     return Segmentation(

@@ -1,4 +1,4 @@
-"""Frames of distances along the ray are told from frames of depth, and nothing else is."""
+"""Frames of distances along the ray, and of another unit, are told from frames of depth, and nothing else is."""
 
 import warnings
 from dataclasses import replace
@@ -10,7 +10,7 @@ from PIL import Image
 import rgbd_planes as rp
 from bench import real_data
 from rgbd_planes.camera.depth_frame import as_depth_frame
-from rgbd_planes.camera.frame_warnings import warn_of_distances
+from rgbd_planes.camera.frame_warnings import warn_of_distances, warn_of_reach
 from rgbd_planes.cli import main as cli
 from rgbd_planes.evaluation import scenes
 
@@ -119,7 +119,8 @@ def test_real_frames_are_depth():
     files = sorted(real_data.FOLDER.glob("*/depth/*.png"))
     for file in files[:: max(1, len(files) // 40)]:
         camera = rp.Camera.load(file.parents[1] / "camera.json")
-        warn_of_distances(as_depth_frame(rp.images.read_depth(file), camera), camera)
+        for warn in (warn_of_distances, warn_of_reach):
+            warn(as_depth_frame(rp.images.read_depth(file), camera), camera)
 
 
 @cameras
@@ -216,3 +217,28 @@ def test_a_worker_elsewhere_says_so_of_its_part(tmp_path):
         for where in (None, tmp_path / "part.parquet"):
             part = fit_part(sequence, 0, settings, columns, where)
             assert [name for name, _ in part.warnings.values()] == ["1.npy"]
+
+
+@pytest.mark.parametrize("preset", ["kinect_v1", "primesense", "kinect_v1_infrared", "seven_scenes"])
+def test_files_of_tum_by_a_camera_of_millimetres_are_told(preset):
+    camera = getattr(rp.presets, preset)()
+    metres = np.full(camera.shape, 1.5)
+    metres[:120] = 2.4  # a quarter
+    for scaled in (camera, camera.with_noise(rp.noise.kinect_v1())):
+        with pytest.warns(UserWarning, match=r"25% of this frame .* depth_scale=5000, .* --depth-scale 5000") as told:
+            rp.segment((5000.0 * metres).astype(np.uint16), scaled)
+        assert [warning.filename for warning in told] == [__file__]
+    # Nothing is said of these: warnings are errors here.
+    rp.segment((1000.0 * metres).astype(np.uint16), camera)
+    rp.segment((5000.0 * metres).astype(np.uint16), replace(camera, depth_scale=5000.0))
+    rp.segment((5000.0 * metres).astype(np.uint16), rp.Camera(640, 480, 400.0, 400.0, 319.5, 239.5, depth_scale=1000.0))
+    rp.segment(5.0 * metres, camera)
+
+
+@pytest.mark.filterwarnings("default")
+def test_the_command_names_the_option(tmp_path, capsys):
+    Image.fromarray(np.full((480, 640), 12000, np.uint16)).save(tmp_path / "tum.png")
+    command = ["segment", str(tmp_path / "tum.png"), "--camera", "kinect_v1"]
+    for options, count in (([], 1), (["--depth-scale", "5000"], 0)):
+        assert cli.main([*command, *options]) == 0
+        assert capsys.readouterr().err.count("--depth-scale 5000") == count
