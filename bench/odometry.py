@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from bench import real_data, tracking
+from bench.paper import processor
 from rgbd_planes import CameraPose, Odometry, open_sequence, segment
 from rgbd_planes._core.arrays import Floats
 from rgbd_planes.evaluation import scenes
@@ -61,6 +62,7 @@ def row(name: str, run: Run) -> dict[str, Any]:
         "lost": sum(pose.is_lost for pose in run.poses),
         "nees": float(np.median(squares)),
         "seconds": run.seconds,
+        "processor": processor(),
     }
 
 
@@ -124,10 +126,12 @@ def table(rows: list[dict[str, Any]]) -> str:
             f"| {r['sequence']} | {r['frames']} | {r['path']:.2f} | {1e3 * r['absolute']:.1f} | {step} | {r['lost']} | "
             f"{r['nees']:.1f} |"
         )
-    took = [r["seconds"] for r in rows if r["seconds"] is not None]
-    if took:
+    timed = [r for r in rows if r["seconds"] is not None]
+    if timed:
+        took = 1e3 * np.median([r["seconds"] for r in timed])
         lines.append(
-            f"\nA real frame takes {1e3 * np.median(took):.1f} ms of one thread beyond `segment`, in the median."
+            f"\nA real frame takes {took:.1f} ms of one thread beyond `segment`, in the median. Measured on "
+            f"{timed[0]['processor']}."
         )
     return "\n".join(lines)
 

@@ -27,7 +27,7 @@ FAMILIAR, HARDLY_TURNED, HARDLY_MOVED = 0.3, 3.0, 0.03
 
 # The camera's motion is found from so many planes, and again, with what is seen then, as often as this at most. Of each
 # plane about so many points are kept.
-LARGEST, ROUNDS, POINTS = 15, 3, 32
+LARGEST, ROUNDS, POINTS = 15, 3, 100
 
 Indices = NDArray[np.intp]
 
