@@ -97,19 +97,24 @@ def _show(live: "LiveView", sequence: "FrameSequence", min_size: int) -> "list[P
     from rgbd_planes.cli.progress import progress
     from rgbd_planes.sequences.problems import Problem, in_words, reason_to_skip
 
-    tracker, first, problems = PlaneTracker(), None, []
+    tracker, first, problems, newest = PlaneTracker(), None, [], 0
     stated = any(entry.pose is not None for entry in sequence.entries)
     # One frame does not move, and frames of several cameras need not be of one moving camera.
-    follower = Odometry(sequence.camera) if not stated and len(sequence) > 1 and len(sequence.cameras) == 1 else None
+    moves = not stated and len(sequence) > 1 and len(sequence.cameras) == 1
+    follower = Odometry(sequence.camera, min_size=min_size) if moves else None
     for number in progress(range(len(sequence)), len(sequence), "frames"):
         name = sequence.names[number]
         try:
             frame = sequence[number]
-            found = tracker.follow(segment(frame.depth, frame.camera, min_size=min_size))
-            pose = frame.pose if follower is None else follower.update(frame).T_world_camera
+            if follower is None:
+                found, pose = tracker.follow(segment(frame.depth, frame.camera, min_size=min_size)), frame.pose
+            else:
+                estimate = follower.update(frame)
+                found, pose = estimate.segmentation, estimate.T_world_camera
         except Exception as error:
             problems.append(Problem(number, name, reason_to_skip(error, name)))
             continue
+        newest = max(newest, int(found.ids.max(initial=0)))
         if pose is not None:  # seen from the first camera, so that down is down on the screen
             first = np.linalg.inv(pose) if first is None else first
             pose = first @ pose
@@ -120,6 +125,6 @@ def _show(live: "LiveView", sequence: "FrameSequence", min_size: int) -> "list[P
     for line in in_words(problems):
         print(f"rgbd-planes view: skipped {line}", file=sys.stderr)
     path = "" if follower is None else " The camera's path is estimated from planes and tiles."
-    shown = f"{counted(len(sequence) - len(problems), 'frame')}, {counted(tracker.newest, 'plane')}."
+    shown = f"{counted(len(sequence) - len(problems), 'frame')}, {counted(newest, 'plane')}."
     print(shown + path, flush=True)
     return problems

@@ -41,20 +41,22 @@ class Odometry(FixedArguments):
     ----------
     camera : Camera
         Of all frames.
+    min_size : int
+        Pixels that a plane must have.
 
     Raises
     ------
-    TypeError
-        It is no camera.
+    TypeError, ValueError
+        It is no camera, or no such size.
     """
 
-    def __init__(self, camera: Camera) -> None:
+    def __init__(self, camera: Camera, *, min_size: int = MIN_SIZE) -> None:
         check_camera(camera)
         self._camera = camera
         self._rays = rays_of_tiles(camera)
         self._fitter = TileFitter(camera, self._rays.tile)
         self._aligner = Aligner(self._rays)
-        self._given = check_settings(camera, None, MIN_SIZE)
+        self._given = check_settings(camera, None, min_size)
         self._tracker = PlaneTracker()
         self._keyframes = Keyframes()
         self._count = self._lost = 0
