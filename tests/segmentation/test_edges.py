@@ -9,10 +9,8 @@ from rgbd_planes import Camera, segment
 from rgbd_planes._core.status import Reason
 from rgbd_planes.evaluation import scenes
 from rgbd_planes.evaluation.metrics import compare_labels
-from rgbd_planes.kernels.segmentation.curved.curved import continues
-from rgbd_planes.kernels.segmentation.curved.facets import are_facets, mark_round
-from rgbd_planes.kernels.segmentation.model.quadrics import block_buffer, group_turns
-from rgbd_planes.kernels.segmentation.model.records import Planes
+from rgbd_planes.kernels.segmentation.curved.curved import fit_two
+from rgbd_planes.kernels.segmentation.model.quadrics import TERMS, group_turns
 
 
 @pytest.mark.parametrize(("step", "expected"), [(0.02, 2), (0.0005, 1)])
@@ -176,37 +174,6 @@ def mesh_of_a_ball(name, centre, radius):
     return scenes.polyhedron(name, corners * radius + centre)
 
 
-@pytest.mark.parametrize("is_exact", [False, True])
-def test_facets_are_fitted_by_a_quadric_as_well_as_noise_can_tell(is_exact):
-    bend, covered = 3200.0, 0.9
-    assert are_facets(0.0, bend, covered, 0.06, 0.06, is_exact)
-    assert are_facets(-49.0, bend, covered, 0.06, 0.9, is_exact)
-    assert not are_facets(-51.0, bend, covered, 0.06, 0.9, is_exact)
-    assert not are_facets(0.0, bend, 0.3, 0.06, 0.06, is_exact)  # too little of the neighbour was looked at
-    assert are_facets(-1000.0, bend, covered, 0.01, 0.5, is_exact) == is_exact
-    assert are_facets(-1000.0, bend, covered, 0.5, 2.4, is_exact) == is_exact
-
-
-@pytest.mark.parametrize(
-    ("degrees", "pixels", "is_round"),
-    [
-        ((0, 30), (100, 100), False),  # two faces
-        ((0, 20, 40), (100, 100, 100), True),
-        ((0, 10, 20), (100, 100, 100), False),  # it turns too little
-        ((0, 20, 40), (300, 100, 100), False),  # a wall with two panels
-    ],
-)
-def test_three_facets_that_turn_are_round(degrees, pixels, is_round):
-    angle = np.radians([*degrees, 90.0])
-    alpha = np.column_stack([np.sin(angle), np.zeros(len(angle)), -np.cos(angle)])
-    moments = np.zeros((len(angle), 10))
-    moments[:, 0] = *pixels, 1000.0
-    parent = np.array([*[0] * len(degrees), len(degrees)])
-    curved = np.zeros(len(angle), np.bool_)
-    mark_round(parent, moments, alpha, np.zeros(len(angle)), np.radians(12.0), curved)
-    assert curved.tolist() == [is_round] * len(degrees) + [False]
-
-
 def test_the_sides_of_a_round_column_are_as_curved_as_its_front():
     # By itself a side, a few blocks wide, is as good as plane: its neighbours are not, and it goes on as they do.
     u, q = CAMERA.tan_x, np.full(CAMERA.shape, 0.4)
@@ -225,14 +192,13 @@ def test_the_normals_of_a_group_turn_between_its_regions_and_within_them(rng):
     """Two groups; one of the regions has no plane."""
     parent, alpha = np.array([0, 0, 2, 2, 2, 0]), rng.normal(size=(6, 3))
     weight, turned = rng.uniform(1.0, 5.0, (2, 6))
-    turn_square, total, members = np.empty(6), np.empty(6), np.empty(6, np.int64)
+    turn_square = np.empty(6)
     alpha[4] = np.inf
-    group_turns(parent, weight, alpha, turned, turn_square, total, members)
+    group_turns(parent, weight, alpha, turned, turn_square)
     for root, group in ((0, [0, 1, 5]), (2, [2, 3])):
         normals = alpha[group] / np.linalg.norm(alpha[group], axis=1, keepdims=True)
         mean = np.average(normals, axis=0, weights=weight[group])
         between, within = 1.0 - mean @ mean, np.average(turned[group], weights=weight[group])
-        assert (total[root], members[root]) == (pytest.approx(weight[group].sum()), len(group))
         assert turn_square[root] == pytest.approx(between + within)
 
 
@@ -249,51 +215,19 @@ def test_a_wall_that_ends_in_narrow_panels_is_no_lampshade():
     assert (found.labels > 0).mean() > 0.99
 
 
-def test_a_neighbour_of_which_nothing_is_looked_at_says_nothing():
-    # Large regions are looked at in every other row of blocks: here those are all of one region.
-    region = np.zeros((32, 32), np.int32)
-    region[1::2] = 1
-    means = np.zeros((4, 32, 32), np.float32)
-    means[0] = 16.0
-    moments = np.zeros((2, 10))
-    moments[:, 0] = 8192.0
-    box = np.array([[0, 32, 0, 32]] * 2)
-    sigma = np.array([1.0, 1e-3, 1e-3])
-    planes = Planes(np.zeros((2, 3)), np.zeros(2), np.ones(2), np.ones(2), np.ones(1))
-    found = continues(region, means, 0, 1, moments, planes, sigma, box, block_buffer())
-    assert found == (-1.0, 0.0, 0.0, np.inf, np.inf)
-
-
 @pytest.mark.parametrize("lying", [False, True])
 def test_a_neighbour_is_looked_at_as_far_away_as_a_region_is_wide(lying):
     """One of 4 x 10 blocks, upright or lying, with the other all around it."""
     region = np.ones((32, 32), np.int32)
     region[8:18, 12:16] = 0  # with as much again on each side the window has 28 x 12 blocks
     v, u = 0.02 * np.indices(region.shape)
-    means = np.stack([np.full_like(u, 16.0), u, v, np.ones_like(u)]).astype(np.float32)
+    means = np.stack([np.full_like(u, 16.0), u, v, np.ones_like(u)], axis=-1).astype(np.float32)
     box = np.array([[8, 18, 12, 16], [0, 32, 0, 32]])
     if lying:
-        region, means, box = region.T.copy(), means.transpose(0, 2, 1).copy(), box[:, [2, 3, 0, 1]]
-    moments = 16.0 * np.array([[40.0], [1024.0 - 40.0]]) * [1.0, 0.0, 0.0, 1.0, 0.1, 0.0, 0.0, 0.1, 0.0, 1.0]
-    planes = Planes(np.zeros((2, 3)), np.zeros(2), np.ones(2), np.ones(2), np.ones(1))
-    sigma = np.array([10.0, *[1e-3] * 3])
-    _, _, covered, _, _ = continues(region, means, 0, 1, moments, planes, sigma, box, block_buffer())
-    assert covered == pytest.approx((28 * 12 - 40) / (1024 - 40))
-
-
-def test_two_neighbours_are_compared_by_the_smaller_of_their_variances(rng):
-    """Whichever of the two has the steeper plane, and so the larger one."""
-    v, u = 0.02 * np.indices((16, 16))
-    region, box = (u >= 0.16).astype(np.int32), np.array([[0, 16, 0, 8], [0, 16, 8, 16]])
-    means = np.stack([np.full_like(u, 16.0), u, v, 1.0 + 0.1 * rng.random(u.shape)]).astype(np.float32)
-    moments = 2048.0 * np.array([[1.0, 0.0, 0.0, 1.0, 0.1, 0.0, 0.0, 0.1, 0.0, 1.0]] * 2)
-    sigma = np.array([10.0, *[1e-3] * 3])
-    planes = Planes(np.zeros((2, 3)), np.zeros(2), np.ones(2), np.ones(2), np.ones(1))
-    found, room = [], block_buffer()
-    for of_slope in ((0.0, 0.0), (1e-6, 0.0), (0.0, 1e-6), (1e-6, 1e-6)):
-        sloping = planes._replace(slope_variance=np.array(of_slope))
-        found.append(continues(region, means, 0, 1, moments, sloping, sigma, box, room)[:2])
-    assert found[0] == found[1] == found[2] == pytest.approx([2.0 * of_both for of_both in found[3]])
+        region, means, box = region.T.copy(), means.transpose(1, 0, 2).copy(), box[:, [2, 3, 0, 1]]
+    m = 640.0 * np.array([1.0, 0.0, 0.0, 1.0, 0.1, 0.0, 0.0, 0.1, 0.0, 1.0])
+    *_, pixels = fit_two(region, means, 0, 1, m, np.zeros(3), box, 1, np.zeros((TERMS + 1, TERMS + 1)))
+    assert pixels == 16 * (28 * 12 - 40)
 
 
 @pytest.mark.parametrize("turned", [(-27.0, 0.0, 27.0), (27.0, 0.0, -27.0), (-13.0, 13.0, -13.0, 13.0)])

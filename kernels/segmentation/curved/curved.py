@@ -3,6 +3,10 @@
 A curved surface breaks into planes that fit it within the noise. Two such neighbours are told from two real
 planes by comparing models with equally many parameters: two planes, with six, and one quadric, with six. Where planes
 meet in an edge, two planes leave smaller residuals; on a surface that goes on smoothly, one quadric does.
+
+A narrow part of a column does not show that it bends, and the mesh of a ball in a rendering does not bend at all. Three
+or more of them are something round if the quadric through neighbours fits as well as their planes do. The faces of a
+polyhedron are planes: a quadric leaves more of them than noise explains.
 """
 
 import math
@@ -13,31 +17,17 @@ from ..._jit.kernel import kernel
 from ...common.union_find import root_of, unite
 from ..model.boxes import boxes
 from ..model.moments import angle_between, jump_at
-from ..model.pixel_noise import about_plane, sensor_variance
-from ..model.planes import deviations
-from ..model.quadrics import (
-    MARGIN,
-    PLANE_TERMS,
-    SURE,
-    TERMS,
-    add_blocks,
-    block_buffer,
-    eliminate,
-    extent,
-    group_turns,
-    inner_pixels,
-    owned_means,
-    region_turn,
-    sampling_step,
-    second_derivatives,
-)
+from ..model.pixel_noise import sensor_variance
+from ..model.quadrics import MARGIN, TERMS, add_blocks, group_turns, owned_means, residuals, sampling_step, turn
 from ..model.records import Planes, as_regions, as_view
-from .creases import main_bend, two_planes
-from .facets import are_facets, mark_round
 
 # Cut in two anywhere, an arc's parts turn within themselves by 1/√12 of their angles, root mean square, and their
 # normals are half of both apart: so the two turns make 1/√3 of the angle between them, and none for faces of an edge.
 BENT_SHARE = 0.5 / math.sqrt(3.0)
+# Share of a region that a neighbour is compared with.
+COVERED = 0.4
+# Variances of a pixel by which a quadric may miss flat facets of a rendering, and more by so many times what planes do.
+MISSED, MISSED_TIMES = 0.5, 4.0
 # Blocks across a region that it takes to tell its own shape, and to tell that it goes on beyond its edge.
 FEWEST_ACROSS = 3
 FEWEST_BESIDE = 2
@@ -45,122 +35,42 @@ FEWEST_BESIDE = 2
 SMALL, SLIGHTLY = 1024, math.radians(2.0)
 
 
-@kernel(inline="compiled")
-def breadth(window):
-    """Blocks along the shorter side."""
-    return min(window[1] - window[0], window[3] - window[2])
-
-
 @kernel()
-def find_turns(region, means, region_moments, planes, sigma, rules, box, turned, bending, bent):
-    """How far the normals of each region turn within it, see `region_turn`, and whether sensors bend planes less.
+def fit_two(region, means, a, b, m, alpha, box, step, products):
+    """Fit one plane, two planes and one quadric to two neighbouring regions.
 
-    What two planes, side by side, fit better than one quadric is not bent, if they are not bent themselves.
-
-    ``turned`` and ``bending`` (N,) float64, and ``bent`` (N,) bool, are written.
-    """
-    alpha, slope_variance, waviness_square, stretch, _ = planes
-    buffer, products = block_buffer(), np.empty((TERMS + 1, TERMS + 1))
-    for a in range(len(turned)):
-        turned[a] = bending[a] = 0.0
-        bent[a] = False
-        m = region_moments[a]
-        if breadth(box[a]) < FEWEST_BESIDE or not alpha[a, 0] < math.inf:
-            continue
-        variance = sensor_variance(m[3] / m[0], sigma) + slope_variance[a] * stretch[a]
-        waves = waviness_square[a]
-        by, bending[a], gain, rest = region_turn(
-            region, means, a, box, m, alpha[a], variance, waves, rules, buffer, products
-        )
-        if breadth(box[a]) < FEWEST_ACROSS:
-            continue
-        turned[a], bent[a] = by, gain > rules.bent_variances * rules.tolerance**2 * waves
-        if bent[a] and by > math.radians(rules.curved_degrees) ** 2:
-            pixels, step, deviation = products[0, 0], sampling_step(box[a]), math.sqrt(variance)
-            across = main_bend(second_derivatives(products, extent(m), deviation))
-            two, quadrics = two_planes(region, means, a, box, m, alpha[a], deviation, across)
-            two, quadrics = two / pixels, quadrics / pixels
-            sure = rules.joint_variances * waves / (pixels * step * step)
-            better = rest - two
-            is_broken = better > max(MARGIN * (gain + better), sure) and two - quadrics < better
-            bent[a] = not is_broken
-
-
-@kernel()
-def find_curled(view, regions, box, planes, curved):
-    """Mark the small regions of which a quadric takes away more than half of the squared residuals, beyond chance.
-
-    They have few blocks, and many pixels at their rim, which may be biased: the pixels inside tell. The arguments are
-    those of `find_curved`, and ``box`` (N, 4) int64 that of `boxes`; ``curved`` says which are marked already.
-    """
-    inverse_depth, rays, _, noise, rules, _ = view
-    region_moments = regions.moments
-    alpha, slope_variance, waviness_square, stretch, _ = planes
-    buffer, products = block_buffer(), np.empty((TERMS + 1, TERMS + 1))
-    # Pixels as if they were blocks, one beside the other, of one region.
-    pixels, region = np.empty((4, 1, SMALL), np.float32), np.zeros((1, SMALL), np.int32)
-    row = np.array([[0, 1, 0, 0]])
-    for a in range(len(curved)):
-        m, waves = region_moments[a], waviness_square[a]
-        if curved[a] or m[0] >= SMALL or breadth(box[a]) < 1 or not alpha[a, 0] < math.inf:
-            continue
-        variance = sensor_variance(m[3] / m[0], noise.sigma) + slope_variance[a] * stretch[a]
-        row[0, 3] = inner_pixels(regions, a, box, inverse_depth, rays, pixels[:, 0])
-        turned, _, gain, rest = region_turn(
-            region, pixels, 0, row, m, alpha[a], variance, waves, rules, buffer, products
-        )
-        is_sure = gain * m[0] > SURE * noise.together * waves
-        curved[a] = is_sure and gain > rest and turned > SLIGHTLY**2
-
-
-@kernel()
-def continues(region, means, a, b, region_moments, planes, sigma, box, buffer):
-    """Whether one quadric fits two neighbouring regions better than two planes do.
-
-    ``a`` is the smaller one; ``b`` is looked at only as far from ``a`` as ``a`` is wide. ``room`` is that of
-    `quadrics.block_buffer`.
+    Parameters
+    ----------
+    region, means : (R, C) int32 and (R, C, 4) float32
+        Regions of blocks, and the number and mean of their pixels.
+    a, b : int
+        The smaller region, and its neighbour, which is looked at only as far from ``a`` as ``a`` is wide.
+    m, alpha : (10,) and (3,) float64
+        Moments and plane of ``a``.
+    box : (N, 4) int64
+        Rows and columns of each region's blocks.
+    step : int
+        Every ``step``-th row and column counts.
+    products : (7, 7) float64
+        Sums of ``a``'s blocks, as `add_blocks` makes them.
 
     Returns
     -------
-    better, bend : float
-        How much better the quadric is than two planes, and two planes than one: sums of squares, in variances. -1 and
-        0 where no block of one of the two is looked at.
-    covered : float
-        The share of ``b``'s pixels that are looked at.
-    flat, rest : float
-        What two planes leave of the mean squared residual, and what one quadric does: in variances of a pixel.
+    one, two, quadric : float
+        Sums of squared residuals that each leaves.
+    pixels : float
+        Those of ``b`` that count.
     """
-    alpha, slope_variance, _, stretch, _ = planes
-    m = region_moments[a]
-    window = np.empty(4, np.int64)
     high, wide = box[a, 1] - box[a, 0], box[a, 3] - box[a, 2]
-    window[0], window[1] = max(box[a, 0] - high, 0), min(box[a, 1] + high, region.shape[0])
-    window[2], window[3] = max(box[a, 2] - wide, 0), min(box[a, 3] + wide, region.shape[1])
-    variance = sensor_variance(m[3] / m[0], sigma) + stretch[a] * min(slope_variance[a], slope_variance[b])
-    deviation = math.sqrt(variance)
-    centre = m[1] / m[0], m[2] / m[0]
-    scale = extent(m)
-    step = sampling_step(box[a])
-    products = np.zeros((3, TERMS + 1, TERMS + 1))
-    products_a, products_b, joint = products[0], products[1], products[2]
-    pixels_a = add_blocks(region, means, a, box, alpha[a], deviation, window, step, centre, scale, buffer, products_a)
-    pixels_b = add_blocks(region, means, b, box, alpha[a], deviation, window, step, centre, scale, buffer, products_b)
-    covered = pixels_b * step * step / region_moments[b, 0]
-    if pixels_a == 0.0 or pixels_b == 0.0:
-        return -1.0, 0.0, covered, math.inf, math.inf
-    for i in range(TERMS + 1):
-        for j in range(i, TERMS + 1):
-            joint[i, j] = products_a[i, j] + products_b[i, j]
-    two = eliminate(products_a, 0, PLANE_TERMS) + eliminate(products_b, 0, PLANE_TERMS)
-    bend = (eliminate(joint, 0, PLANE_TERMS) - two) * step * step
-    quadric, pixels = eliminate(joint, PLANE_TERMS, TERMS), pixels_a + pixels_b
-    return (two - quadric) * step * step, bend, covered, two / pixels, quadric / pixels
-
-
-@kernel(inline="compiled")
-def turns_as_an_arc(bending, a, b, angle):
-    """Whether two regions turn within themselves by enough of the angle between them: see BENT_SHARE."""
-    return math.sqrt(bending[a]) + math.sqrt(bending[b]) > BENT_SHARE * angle
+    window = np.empty(4, np.int64)
+    window[0], window[1] = max(box[a, 0] - high, box[b, 0]), min(box[a, 1] + high, box[b, 1])
+    window[2], window[3] = max(box[a, 2] - wide, box[b, 2]), min(box[a, 3] + wide, box[b, 3])
+    beside = np.zeros((TERMS + 1, TERMS + 1))
+    add_blocks(region, means, b, window, step, m, alpha, beside)
+    pixels = beside[0, 0]
+    one, quadric = residuals(products + beside)
+    two = residuals(products.copy())[0] + residuals(beside)[0]
+    return one, two, quadric, pixels
 
 
 @kernel()
@@ -170,8 +80,8 @@ def find_curved(view, regions, planes, contacts, count, is_exact, curved, deviat
     Neighbours within ``reach_deviations`` that one quadric fits better than two planes, by ``joint_variances``,
     and that turn within themselves as parts of an arc do, form groups. A group is curved if its normals turn by more
     than ``curved_degrees``, root mean square: if by less, it is the sensor that bends a plane. Of small regions it is
-    not: those with such a neighbour are curved if they turn by more than SLIGHTLY. Also curved are those of
-    `find_curled`, the groups of `facets.mark_round`, and smaller neighbours as which a curve goes on.
+    not: those with such a neighbour are curved if they turn by more than SLIGHTLY. Also curved are groups of facets,
+    if they turn as much and none is half of its group. Smaller neighbours as which a curve goes on are part of it.
 
     Parameters
     ----------
@@ -179,7 +89,7 @@ def find_curved(view, regions, planes, contacts, count, is_exact, curved, deviat
     regions : Regions
     planes : Planes
     contacts, count
-        From `contacts.neighbours`; overwritten.
+        Regions that touch, and how many pairs of them; overwritten.
     is_exact : bool
         Whether the frame's noise is no larger than deviations of surfaces from planes, as in a rendering.
     curved : (N,) bool, written
@@ -187,59 +97,90 @@ def find_curved(view, regions, planes, contacts, count, is_exact, curved, deviat
         Standard deviation of a pixel about the plane of each region.
     """
     view, regions, planes = as_view(view), as_regions(regions), Planes(*planes)
-    _, _, pyramid, noise, rules, _ = view
-    region, region_moments, alpha, sigma = regions.block, regions.moments, planes.alpha, noise.sigma
-    deviations(region_moments, planes, sigma, deviation)
-    pairs, where, _ = contacts
+    region, moments, alpha, waves = regions.block, regions.moments, planes.alpha, planes.waviness_square
+    noise, rules, (pairs, where, _) = view.noise, view.rules, contacts
+    sharp = math.radians(rules.curved_degrees) ** 2
     # Errors that neighbours share bend a plane by chance: by their variance over squares of 32 pixels, as a multiple of
     # that over 8, and as many more times as there are fewer independent ones.
-    significant, sharp = (
-        rules.joint_variances * noise.growth[len(noise.growth) - 1] ** 4,
-        math.radians(rules.curved_degrees),
-    )
+    significant = rules.joint_variances * noise.growth[len(noise.growth) - 1] ** 4
     many = len(alpha)
     box = np.empty((many, 4), np.int64)
     boxes(region, box)
-    means = owned_means(regions, pyramid)
-    turned, bending = np.empty(many), np.empty(many)
-    bent, goes_on = np.empty(many, np.bool_), np.zeros(many, np.bool_)
-    find_turns(region, means, region_moments, planes, sigma, rules, box, turned, bending, bent)
-    curved[:] = False
-    parent, facets, buffer = np.arange(many), np.arange(many), block_buffer()
+    means = owned_means(regions, view.pyramid)
+    products = np.zeros((many, TERMS + 1, TERMS + 1))
+    # Of each region: its breadth in blocks, the variance of a pixel without the waves, and mean squared angles by which
+    # its normals turn, first also where noise explains it.
+    breadth, step = np.empty(many, np.int64), np.empty(many, np.int64)
+    variance, bending, turned = np.empty(many), np.zeros(many), np.zeros(many)
+    bent, goes_on = np.zeros(many, np.bool_), np.zeros(many, np.bool_)
+    for a in range(many):
+        m = moments[a]
+        sensor = sensor_variance(m[3] / max(m[0], 1.0), noise.sigma)
+        variance[a] = sensor + planes.slope_variance[a] * planes.stretch[a]
+        deviation[a] = math.sqrt(variance[a] * waves[a])
+        breadth[a] = min(box[a, 1] - box[a, 0], box[a, 3] - box[a, 2])
+        step[a] = sampling_step(box[a])
+        if not alpha[a, 0] < math.inf:
+            continue
+        add_blocks(region, means, a, box[a], step[a], m, alpha[a], products[a])
+        if breadth[a] < FEWEST_BESIDE:
+            continue
+        fitted = products[a].copy()
+        flat, rest = residuals(fitted)
+        bending[a] = turn(fitted, m, alpha[a])
+        gain, pixels = (flat - rest) / variance[a], products[a, 0, 0]
+        if breadth[a] >= FEWEST_ACROSS:
+            if gain * step[a] ** 2 > rules.joint_variances * waves[a]:
+                turned[a] = bending[a]
+            bent[a] = gain > pixels * rules.bent_variances * rules.tolerance**2 * waves[a]
+    parent, facets = np.arange(many), np.arange(many)
     smooth = 0
     for i in range(count):
         a, b = np.int64(pairs[i, 0]), np.int64(pairs[i, 1])
-        if region_moments[a, 0] > region_moments[b, 0]:
+        if moments[a, 0] > moments[b, 0]:
             a, b = b, a
         jump = jump_at(alpha, a, b, where[i])
-        q = region_moments[a, 3] / region_moments[a, 0]
-        variance = about_plane(sensor_variance(q, sigma), planes, a)
-        if not jump * jump < rules.reach_deviations * rules.reach_deviations * variance:
+        if not jump * jump < (rules.reach_deviations * deviation[a]) ** 2:
             continue
-        better, bend, covered, flat, rest = continues(region, means, a, b, region_moments, planes, sigma, box, buffer)
-        if are_facets(better, bend, covered, flat, rest, is_exact):
+        one, two, quadric, pixels = fit_two(region, means, a, b, moments[a], alpha[a], box, step[a], products[a])
+        if not (products[a, 0, 0] > 0.0 and pixels > 0.0):
+            continue
+        better, bend, looked_at = two - quadric, one - two, pixels * step[a] ** 2 > COVERED * moments[b, 0]
+        # In a rendering planes always win: there the quadric leaves so little that noise would hide it.
+        expected = min(variance[a], variance[b])  # a steep plane's is the larger one
+        hidden = MISSED * (products[a, 0, 0] + pixels) * expected + MISSED_TIMES * two
+        if looked_at and (better > -0.5 * MARGIN * bend or (is_exact and quadric < hidden)):
             unite(facets, a, b)
         if not better > -MARGIN * bend:
             continue
         pairs[smooth, 0], pairs[smooth, 1] = a, b
         smooth += 1
-        enough = covered > 0.5 and min(breadth(box[a]), breadth(box[b])) >= FEWEST_BESIDE
-        enough &= better > max(MARGIN * bend, significant * planes.waviness_square[a])
-        if enough and turns_as_an_arc(bending, a, b, angle_between(alpha[a], alpha[b])):
+        turns = math.sqrt(bending[a]) + math.sqrt(bending[b])
+        if (
+            looked_at
+            and min(breadth[a], breadth[b]) >= FEWEST_BESIDE
+            and better > max(MARGIN * bend, significant * waves[a] * expected / step[a] ** 2)
+            and turns > BENT_SHARE * angle_between(alpha[a], alpha[b])
+        ):
             unite(parent, a, b)
             bent[root_of(parent, a)] = goes_on[a] = goes_on[b] = True
-    turn_square, pixels, members = np.empty(many), np.empty(many), np.empty(many, np.int64)
-    group_turns(parent, region_moments[:, 0], alpha, turned, turn_square, pixels, members)
-    mark_round(facets, region_moments, alpha, turned, sharp, curved)
+    turn_square, facets_turn_square = np.empty(many), np.empty(many)
+    group_turns(parent, moments[:, 0], alpha, turned, turn_square)
+    group_turns(facets, moments[:, 0], alpha, turned, facets_turn_square)
+    pixels_of, largest = np.zeros(many), np.zeros(many)
+    for a in range(many):
+        root = root_of(facets, a)
+        pixels_of[root] += moments[a, 0]
+        largest[root] = max(largest[root], moments[a, 0])
     for a in range(many):
         root = root_of(parent, a)
-        curved[a] |= bent[root] and turn_square[root] > sharp * sharp
-        curved[a] |= goes_on[a] and region_moments[a, 0] < SMALL and turned[a] > SLIGHTLY**2
-    find_curled(view, regions, box, planes, curved)
+        curved[a] = bent[root] and turn_square[root] > sharp
+        curved[a] |= goes_on[a] and moments[a, 0] < SMALL and turned[a] > SLIGHTLY**2
+        root = root_of(facets, a)
+        curved[a] |= largest[root] < 0.5 * pixels_of[root] and facets_turn_square[root] > sharp
     changed = True
     while changed:
         changed = False
         for i in range(smooth):
             if curved[pairs[i, 1]] and not curved[pairs[i, 0]]:
-                curved[pairs[i, 0]] = True
-                changed = True
+                curved[pairs[i, 0]] = changed = True

@@ -14,20 +14,7 @@ from ...common.arrays import copy
 from ..model.boxes import boxes
 from ..model.moments import angle_between, fit
 from ..model.pixel_noise import variance, waviness
-from ..model.quadrics import (
-    MARGIN,
-    PLANE_TERMS,
-    SURE,
-    TERMS,
-    add_blocks,
-    block_buffer,
-    eliminate,
-    extent,
-    group_turns,
-    owned_means,
-    region_turn,
-    sampling_step,
-)
+from ..model.quadrics import MARGIN, TERMS, add_blocks, group_turns, owned_means, residuals, sampling_step, turn
 from ..model.records import Noise, Regions, Rules, as_regions, as_view
 
 # Share of the tolerances with which parts are joined anew.
@@ -36,6 +23,8 @@ STRICT = 0.5
 FACE, FACE_SHARE = 100, 0.025
 # Root mean square angle by which the normals of faces turn, and those of the quadric that fits them best.
 TURNED = math.radians(4.0)
+# Variances that three more terms must gain, times the pixels that share an error: of χ²(3) one in fifty is 10.
+SURE = 10.0
 # A face that is ajar, as a door is to its wall, turns the normals of both together by less. How far it is turned
 # against the rest, the pixels of either, since rims are tilted, too, and what a quadric leaves at least of the bend of
 # the two: 1/16 if they are of one size, more than AJAR_MARGIN if one has less than a quarter of both.
@@ -91,8 +80,8 @@ def find_doubtful(moments, first_moments, parent, noise, rules, rough, several, 
         weight[a] = first_moments[a, 0] ** 2  # noise turns normals by 1/n
         if several[parent[a]] and first_moments[a, 0] >= FACE and fit(first_moments[a], alpha) >= 0.0:
             copy(alpha, alphas[a])
-    turn_square, total = np.empty(len(parent)), np.empty(len(parent))
-    group_turns(parent, weight, alphas, np.zeros(len(parent)), turn_square, total, faces)
+    turn_square = np.empty(len(parent))
+    group_turns(parent, weight, alphas, np.zeros(len(parent)), turn_square)
     for a in range(len(parent)):
         root = parent[a]
         if several[root] and not ajar[root] and first_moments[a, 0] >= AJAR_FACE and alphas[a, 0] < math.inf:
@@ -150,33 +139,33 @@ def keep_turned(view, regions, ajar, chosen):
     label_blocks(regions.block, parent, parent, chosen, labels)
     means = owned_means(Regions(labels, moments, parent, regions.owners, regions.shares), pyramid)
     alpha, box = np.empty(3), np.empty((len(chosen), 4), np.int64)
-    buffer, products = block_buffer(), np.empty((TERMS + 1, TERMS + 1))
     boxes(labels, box)
     for a in range(len(chosen)):
         if chosen[a]:
             m = moments[a]
             fit(m, alpha)
-            pixel_variance, waves = variance(m, alpha, noise), waviness(m[0], noise.growth) ** 2
-            turned, _, _, _ = region_turn(
-                labels, means, a, box, m, alpha, pixel_variance, waves, rules, buffer, products
-            )
-            ajar[a] &= not turned > TURNED**2
-            chosen[a] = turned > TURNED**2 or ajar[a]
+            step, products = sampling_step(box[a]), np.zeros((TERMS + 1, TERMS + 1))
+            add_blocks(labels, means, a, box[a], step, m, alpha, products)
+            flat, rest = residuals(products)
+            sure = rules.joint_variances * waviness(m[0], noise.growth) ** 2 * variance(m, alpha, noise)
+            is_turned = (flat - rest) * step * step > sure and turn(products, m, alpha) > TURNED**2
+            ajar[a] &= not is_turned
+            chosen[a] = is_turned or ajar[a]
 
 
 @kernel()
 def planes_fit_better(products):
     """By how much planes fit parts better than one quadric does, and than one plane: differences of sums of squares.
 
-    ``products`` (K, 7, 7) are those of `quadrics.add_blocks` for each part.
+    ``products`` (K, 7, 7) are sums over the blocks of each part.
     """
     joint = np.zeros((TERMS + 1, TERMS + 1))
     planes = 0.0
     for k in range(len(products)):
         joint += products[k]
-        planes += eliminate(products[k].copy(), 0, PLANE_TERMS)
-    flat = eliminate(joint, 0, PLANE_TERMS)
-    return eliminate(joint, PLANE_TERMS, TERMS) - planes, flat - planes
+        planes += residuals(products[k].copy())[0]
+    flat, rest = residuals(joint)
+    return rest - planes, flat - planes
 
 
 @kernel()
@@ -201,7 +190,7 @@ def keep_faces(view, regions, first_moments, again, ajar, chosen):
     labels = np.empty_like(regions.block)
     label_blocks(regions.block, again, parent, chosen, labels)
     means = owned_means(Regions(labels, moments, again, regions.owners, regions.shares), pyramid)
-    alpha, buffer = np.empty(3), block_buffer()
+    alpha = np.empty(3)
     box, window = np.empty((len(chosen), 4), np.int64), np.empty(4, np.int64)
     boxes(labels, box)
     for root in range(len(chosen)):
@@ -216,13 +205,13 @@ def keep_faces(view, regions, first_moments, again, ajar, chosen):
             window[2], window[3] = min(window[2], box[a, 2]), max(window[3], box[a, 3])
         m = moments[root]
         fit(m, alpha)
-        deviation = math.sqrt(variance(m, alpha, noise))
-        centre, scale, step = (m[1] / m[0], m[2] / m[0]), extent(m), sampling_step(window)
+        step = sampling_step(window)
         products = np.zeros((len(faces), TERMS + 1, TERMS + 1))
         for k, a in enumerate(faces):
-            add_blocks(labels, means, a, box, alpha, deviation, window, step, centre, scale, buffer, products[k])
+            add_blocks(labels, means, a, window, step, m, alpha, products[k])
         better, bend = planes_fit_better(products)
-        sure = SURE * noise.together * waviness(m[0], noise.growth) ** 2 / (step * step)
+        waves = waviness(m[0], noise.growth) ** 2
+        sure = SURE * noise.together * waves * variance(m, alpha, noise) / (step * step)
         are_faces = better > max(margin * bend, sure * (len(faces) - 1))
         for k in range(len(faces)):
             for i in range(k if len(faces) > 2 else 0):

@@ -7,7 +7,7 @@ from ...common.arrays import copy
 from ...statistics.rounding import between_codes, in_common, is_left
 from ...statistics.sandwich_covariance import sandwich
 from .moments import fit
-from .pixel_noise import about_plane, region_stretch, sensor_variance, slope_variance, step_at, waviness
+from .pixel_noise import region_stretch, slope_variance, step_at, waviness
 from .records import Found, Modelled, Noise
 
 
@@ -28,14 +28,6 @@ def fit_regions(moments, noise, planes):
         waviness_square[i] = waviness(moments[i, 0], noise.growth) ** 2
         stretch[i] = region_stretch(moments[i], noise.lens)
         slope[i] = slope_variance(moments[i], alpha[i], noise) / stretch[i]
-
-
-@kernel()
-def deviations(moments, planes, sigma, deviation):
-    """Standard deviation of a pixel about the plane of each region."""
-    for a in range(len(moments)):
-        sensor = sensor_variance(moments[a, 3] / max(moments[a, 0], 1.0), sigma)
-        deviation[a] = math.sqrt(about_plane(sensor, planes, a))
 
 
 @kernel()
