@@ -7,14 +7,16 @@ And its calls nest hundreds deep. Python keeps their frames in chunks of 16 KB, 
 when its last frame is done: if a chunk ends just below a function that is called a million times, every call takes a
 chunk and gives it back. A frame that needs more than that gets a larger chunk, with room for those above it.
 
-And a process may be forked meanwhile.
+And a process may be forked meanwhile, or interrupted: while LLVM works, Python drops a KeyboardInterrupt, or crashes.
 """
 
 import contextlib
 import functools
 import gc
 import os
-from collections.abc import Callable
+import signal
+import threading
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from .array_lowering import as_kernels_need
@@ -37,6 +39,37 @@ if hasattr(os, "register_at_fork"):
         os.register_at_fork(before=_lock.acquire, after_in_parent=_lock.release, after_in_child=_lock.release)
 
 
+_is_interrupted = False
+
+
+def _heed_interrupts() -> None:
+    """Raise the KeyboardInterrupt that was held back, if there was one."""
+    global _is_interrupted
+    if _is_interrupted:
+        _is_interrupted = False
+        raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Hold Ctrl-C back until a kernel, or one that it calls, is done: where Python would have raised it at once."""
+    is_main = threading.current_thread() is threading.main_thread()
+    if not is_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield
+        return
+
+    def note(*_: object) -> None:
+        global _is_interrupted
+        _is_interrupted = True
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        _heed_interrupts()
+
+
 def _with_room(compiler: Callable[..., Any], *args: Any) -> Any:
     """Call a compiler from a frame that takes up a chunk."""
     return compiler(*args)
@@ -54,6 +87,7 @@ def without_haste(compiler: Callable[..., Any], function: Any) -> Callable[..., 
 
     def compile_counted(*args: Any) -> Any:
         global compiled
+        _heed_interrupts()
         result = compiler(*args)
         compiled += 1
         return result
@@ -68,7 +102,7 @@ def without_haste(compiler: Callable[..., Any], function: Any) -> Callable[..., 
         if 0 < before < PATIENCE:  # neither off nor already as patient
             gc.set_threshold(PATIENCE, *others)
         try:
-            with as_kernels_need(function):
+            with _interrupts_held(), as_kernels_need(function):
                 return _with_room(compile_counted, *args)
         finally:
             is_compiling = False

@@ -2,6 +2,7 @@
 
 import gc
 import os
+import signal
 
 import numba
 import numpy as np
@@ -72,6 +73,42 @@ def test_kernels_are_counted_when_they_are_compiled():
     assert compiler_pauses.compiled == before + 2
     assert inner(2.5) == 3.5
     assert compiler_pauses.compiled == before + 3
+
+
+@pytest.mark.parametrize("interrupted", ["outer", "inner"])
+def test_an_interrupt_comes_between_kernels(interrupted):
+    """Amid one Python would drop it, or crash."""
+
+    @jit.kernel()
+    def inner(x):
+        return x + 1
+
+    @jit.kernel()
+    def outer(x):
+        return inner(x) + 2
+
+    after = []
+
+    class Interrupts(event.Listener):
+        def on_start(self, event):
+            if f"{interrupted}_" in event.data["qualname"] and not after:
+                os.kill(os.getpid(), signal.SIGINT)
+                after.append("still compiling")
+
+        def on_end(self, event):
+            pass
+
+    listener = Interrupts()
+    before = signal.getsignal(signal.SIGINT)
+    event.register("numba:run_pass", listener)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            outer(1)
+    finally:
+        event.unregister("numba:run_pass", listener)
+    assert after == ["still compiling"]
+    assert signal.getsignal(signal.SIGINT) is before
+    assert outer(1) == 4
 
 
 def test_kernels_compile_without_haste():
