@@ -1,5 +1,6 @@
 """Every public call that takes a frame, on inputs by chance, and the promises that its results must keep."""
 
+import dataclasses
 import tempfile
 import warnings
 from collections.abc import Callable
@@ -111,9 +112,9 @@ def polygons(case):
 
 
 def noise(case):
-    rng = case.rng
-    frames = [case.depth, inputs.frame(rng, case.camera.shape, case.absurd)]
-    found = rp.estimate_noise(frames, case.camera)
+    camera = dataclasses.replace(case.camera, width=160, height=120, cx=80.0, cy=60.0)  # for enough flat windows
+    frames = [inputs.frame(case.rng, camera.shape, case.absurd) for _ in range(2)]
+    found = rp.estimate_noise(frames, camera)
     promise(np.isfinite(found.sigma(np.array([0.1, 1.0, 10.0]))), "a finite noise")
 
 
@@ -124,8 +125,12 @@ def uncertainty(case):
     a, b = (np.argwhere(found.fitted)[i] for i in (0, -1))
     planes = [found.planes[tuple(i)] for i in (a, b)]
     matrices = [found.plane_covariance[tuple(i)] for i in (a, b)]
-    rp.uncertainty.same_plane(planes[0], matrices[0], planes[1], matrices[1])
-    rp.uncertainty.point_distance(planes[0], matrices[0], np.array([0.0, 0.0, 1.0]))
+    both = planes[0], matrices[0], planes[1], matrices[1]
+    p_value = rp.uncertainty.same_plane(*both)
+    promise((p_value >= 0.0) & (p_value <= 1.0), "p-values are from 0 to 1")
+    point = np.array([0.0, 0.0, 1.0])
+    for value, std in (rp.uncertainty.point_distance(point, *both[:2]), rp.uncertainty.angle_between(*both)):
+        promise(np.isfinite(value) & np.isfinite(std) & (std >= 0.0), "a value and its standard deviation")
 
 
 CALLS: dict[str, tuple[Callable[[Case], object], float]] = {

@@ -36,6 +36,11 @@ def test_each_call_has_its_share():
     assert names == {*calls.CALLS, *calls.RARE, *formats.FORMATS}
 
 
+@pytest.mark.parametrize("name", [*calls.CALLS, *calls.RARE])
+def test_no_call_refuses_all(name):
+    assert "fitted" in (run(seed, name)[1] for seed in range(50))
+
+
 def test_processes_share_the_inputs(capsys):
     said = []
     for processes in ("1", "2"):
