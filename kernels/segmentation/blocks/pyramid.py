@@ -48,34 +48,45 @@ def solve_squares(sums, count, rays, rss, slope_square):
 
 
 @kernel(inline=True)
-def fold(along, sums, count):
-    """Add up sums over columns of pixels to sums over blocks."""
-    for c in range(count):
+def apart(values, where):
+    """Copy a row's pixels of adjacent blocks: the first column of each block, then the second ones, and so on."""
+    for c in range(len(values) // BLOCK):
         x = c * BLOCK
-        sums[c] = (along[x] + along[x + 1]) + (along[x + 2] + along[x + 3])
+        where[c], where[CHUNK + c] = values[x], values[x + 1]
+        where[2 * CHUNK + c], where[3 * CHUNK + c] = values[x + 2], values[x + 3]
+    for x in range(len(values) // BLOCK * BLOCK, len(values)):
+        where[x % BLOCK * CHUNK + x // BLOCK] = values[x]
+
+
+@kernel(inline=True)
+def fold(along, sums, count):
+    """Add up sums over columns of pixels, in the order of `apart`, to sums over blocks."""
+    for c in range(count):
+        sums[c] = (along[c] + along[CHUNK + c]) + (along[2 * CHUNK + c] + along[3 * CHUNK + c])
 
 
 @kernel(inline=True)
 def add_columns(q, u, v, count, along):
     """Moments of the columns of pixels, ``along`` (10, CHUNK·BLOCK), of ``count`` adjacent blocks."""
-    for x in range(count * BLOCK):
-        n = s_u = s_v = s_q = s_uu = s_uv = s_uq = s_vv = s_vq = s_qq = 0.0
-        for k in range(BLOCK):
-            p = np.float64(q[k, x])
-            valid = 1.0 if p > 0.0 else 0.0
-            u_x, v_x = valid * u[k, x], valid * v[k, x]
-            n += valid
-            s_u += u_x
-            s_v += v_x
-            s_q += p
-            s_uu += u_x * u_x
-            s_uv += u_x * v_x
-            s_uq += u_x * p
-            s_vv += v_x * v_x
-            s_vq += v_x * p
-            s_qq += p * p
-        along[0, x], along[1, x], along[2, x], along[3, x], along[4, x] = n, s_u, s_v, s_q, s_uu
-        along[5, x], along[6, x], along[7, x], along[8, x], along[9, x] = s_uv, s_uq, s_vv, s_vq, s_qq
+    for j in range(BLOCK):
+        for x in range(j * CHUNK, j * CHUNK + count):
+            n = s_u = s_v = s_q = s_uu = s_uv = s_uq = s_vv = s_vq = s_qq = 0.0
+            for k in range(BLOCK):
+                p = np.float64(q[k, x])
+                valid = 1.0 if p > 0.0 else 0.0
+                u_x, v_x = valid * u[k, x], valid * v[k, x]
+                n += valid
+                s_u += u_x
+                s_v += v_x
+                s_q += p
+                s_uu += u_x * u_x
+                s_uv += u_x * v_x
+                s_uq += u_x * p
+                s_vv += v_x * v_x
+                s_vq += v_x * p
+                s_qq += p * p
+            along[0, x], along[1, x], along[2, x], along[3, x], along[4, x] = n, s_u, s_v, s_q, s_uu
+            along[5, x], along[6, x], along[7, x], along[8, x], along[9, x] = s_uv, s_uq, s_vv, s_vq, s_qq
 
 
 @kernel(reduction=True)
@@ -132,32 +143,36 @@ def read_frame(raw, lowest, highest, scale, offset, is_disparity, rays, inverse_
     u, v = np.zeros((BLOCK, CHUNK * BLOCK)), np.zeros((BLOCK, CHUNK * BLOCK))
     along = np.empty((10, CHUNK * BLOCK))
     sums = np.empty((10, CHUNK))
-    nearest = np.int32(0)
-    for row in range(rows):
-        top, bottom = row * BLOCK, min(row * BLOCK + BLOCK, height)
-        # A band of rows is in one piece in memory.
-        begin, end = min(top, bottom) * width, bottom * width
-        if is_disparity:  # two loops: in one, the compiler would work out both
+    has_lens, nearest = len(tan_x) > 1, np.int32(0)
+    for start in range(0, columns, CHUNK):
+        count = min(CHUNK, columns - start)
+        left, right = start * BLOCK, min((start + count) * BLOCK, width)
+        q[:] = 0.0
+        for k in range(BLOCK):
+            apart(tan_x[0, left:right], u[k])
+        for row in range(rows):
+            top, bottom = row * BLOCK, min(row * BLOCK + BLOCK, height)
+            # A band of rows is in one piece in memory.
+            begin, end = min(top, bottom) * width, bottom * width if start == 0 else 0
+            if is_disparity:  # two loops: in one, the compiler would work out both
+                for i in range(begin, end):
+                    inverse[i] = inverse_of(values[i], lowest, highest, scale, offset, True)
+            else:
+                for i in range(begin, end):
+                    inverse[i] = inverse_of(values[i], lowest, highest, scale, offset, False)
             for i in range(begin, end):
-                inverse[i] = inverse_of(values[i], lowest, highest, scale, offset, True)
-        else:
-            for i in range(begin, end):
-                inverse[i] = inverse_of(values[i], lowest, highest, scale, offset, False)
-        for i in range(begin, end):
-            nearest = max(nearest, bits[i])
-        for start in range(0, columns, CHUNK):
-            count = min(CHUNK, columns - start)
-            left = start * BLOCK
-            right = min((start + count) * BLOCK, width)
-            if bottom - top < BLOCK or right - left < count * BLOCK:
+                nearest = max(nearest, bits[i])
+            if bottom - top < BLOCK:
                 q[:] = 0.0
             for y in range(top, bottom):
                 k = y - top
                 here = y * width + left
-                copy(inverse[here : here + right - left], q[k, : right - left])
-                copy(tan_x[y if len(tan_x) > 1 else 0, left:right], u[k, : right - left])
-                for x in range(right - left):
-                    v[k, x] = tan_y[y, left + x if tan_y.shape[1] > 1 else 0]
+                apart(inverse[here : here + right - left], q[k])
+                if has_lens:
+                    apart(tan_x[y, left:right], u[k])
+                    apart(tan_y[y, left:right], v[k])
+                else:
+                    v[k] = tan_y[y, 0]
             add_columns(q, u, v, count, along)
             for k in range(10):
                 fold(along[k], sums[k], count)
