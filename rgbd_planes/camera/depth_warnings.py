@@ -216,7 +216,9 @@ def warn_of_swapped_bytes(raw: NDArray[Any]) -> None:
     """
     # Mostly one row shows at once that neighbours differ by other numbers, too.
     row = raw[len(raw) // 2]
-    if 4 * np.count_nonzero((row[1:] ^ row[:-1]) & 255) > len(row):
+    is_measured = row > 0
+    differing = (row[1:] ^ row[:-1])[is_measured[1:] & is_measured[:-1]]
+    if 2 * np.count_nonzero(differing & 255) > max(int(np.count_nonzero(differing)), _FEW_STEPS):
         return
     rows = raw[:: max(1, raw.shape[0] // _ROWS_LOOKED_AT)]
     if not rows.size or rows.max() < _SWAPPED_REACH:
