@@ -22,7 +22,7 @@ from rgbd_planes.camera.camera import Camera
 from rgbd_planes.camera.depth_frame import DepthFrame, as_depth_frame
 from rgbd_planes.kernels._jit import kernel as jit
 from rgbd_planes.kernels.segmentation.assign.assign_pixels import assign_pixels
-from rgbd_planes.kernels.segmentation.assign.spread import move_on, spread_out
+from rgbd_planes.kernels.segmentation.assign.spread import move_on
 from rgbd_planes.kernels.segmentation.blocks.pyramid import read_frame
 from rgbd_planes.kernels.segmentation.blocks.quadtree import join_blocks
 from rgbd_planes.kernels.segmentation.components.components import judge_parts, measure_parts
@@ -121,7 +121,6 @@ def _calls(dtype: str, is_disparity: bool) -> list[Call]:
         (1.1, neighbours, (block, view[1], contacts)),
         (1.0, describe_planes, (found, noise, 1.0, modelled, 1.0, values[3], is_disparity, np.empty((1, 4)), alpha,
                                 np.empty((1, 3, 3)), sizes, part)),
-        (1.0, spread_out, (view, regions, planes)),
         (1.0, measure_parts, (view, runs, 1, moments, parts)),
         (1.0, settle_strays, (reasons, 1, *labels, part, work.edges, work.strays, 1)),
         (1.1, write_labels, (q, runs, part, why, reasons, *labels, work.strays)),

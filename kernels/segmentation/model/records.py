@@ -65,7 +65,7 @@ class Rays(NamedTuple):
     pitch_x: float  # change of tanθx and tanθy from pixel to pixel, without a lens
     pitch_y: float
     lens: Array  # (2, K) float64: see `pixel_noise.at_angle`; (2, 0) without a lens
-    stretch: Array  # (T,) float64: of each square of a `Pyramid`, see `pixel_noise.in_square`
+    stretch: Array  # (T,) float64: of each square of a `Pyramid`, see `pixel_noise.stretch_at`
 
 
 class Pyramid(NamedTuple):
@@ -225,7 +225,7 @@ def plain(record: Any) -> Any:
 
     Numba looks at the fields of plain tuples in C, and of others in Python, which takes five times as long.
     """
-    return tuple(plain(field) if isinstance(field, tuple) else field for field in record)
+    return tuple([plain(field) if isinstance(field, tuple) else field for field in record])
 
 
 @kernel(inline=True)
