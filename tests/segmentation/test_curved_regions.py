@@ -65,6 +65,11 @@ def on_column(radius, side):
     return np.array(shares)
 
 
+def test_a_small_thing_that_bends_is_no_plane():
+    assert np.count_nonzero(on_column(1.15, 28) > 0.9) >= 3
+    assert not on_column(np.inf, 28).any()
+
+
 def test_a_small_part_that_bends_and_goes_on_is_no_plane():
     """By itself neither of the two parts bends by more than noise."""
     assert np.count_nonzero(on_column(0.8, 24) > 0.4) >= 2

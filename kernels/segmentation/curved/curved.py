@@ -20,6 +20,7 @@ from ..model.moments import angle_between, jump_at
 from ..model.pixel_noise import sensor_variance
 from ..model.quadrics import MARGIN, TERMS, add_blocks, group_turns, owned_means, residuals, sampling_step, turn
 from ..model.records import Planes, as_regions, as_view
+from .small_regions import SMALL, turn_inside
 
 # Cut in two anywhere, an arc's parts turn within themselves by 1/√12 of their angles, root mean square, and their
 # normals are half of both apart: so the two turns make 1/√3 of the angle between them, and none for faces of an edge.
@@ -31,8 +32,8 @@ MISSED, MISSED_TIMES = 0.5, 4.0
 # Blocks across a region that it takes to tell its own shape, and to tell that it goes on beyond its edge.
 FEWEST_ACROSS = 3
 FEWEST_BESIDE = 2
-# Pixels over which a sensor does not bend planes yet, and what, root mean square, normals of planes turn by there.
-SMALL, SLIGHTLY = 1024, math.radians(2.0)
+# By which, root mean square, normals of small planes turn.
+SLIGHTLY = math.radians(2.0)
 
 
 @kernel()
@@ -80,8 +81,10 @@ def find_curved(view, regions, planes, contacts, count, is_exact, curved, deviat
     Neighbours within ``reach_deviations`` that one quadric fits better than two planes, by ``joint_variances``,
     and that turn within themselves as parts of an arc do, form groups. A group is curved if its normals turn by more
     than ``curved_degrees``, root mean square: if by less, it is the sensor that bends a plane. Of small regions it is
-    not: those with such a neighbour are curved if they turn by more than SLIGHTLY. Also curved are groups of facets,
-    if they turn as much and none is half of its group. Smaller neighbours as which a curve goes on are part of it.
+    not: those with such a neighbour, or whose pixels show it, are curved if they turn by more than SLIGHTLY.
+
+    Also curved are groups of facets, if they turn as much and none is half of its group. Smaller neighbours as which a
+    curve goes on are part of it.
 
     Parameters
     ----------
@@ -175,7 +178,9 @@ def find_curved(view, regions, planes, contacts, count, is_exact, curved, deviat
     for a in range(many):
         root = root_of(parent, a)
         curved[a] = bent[root] and turn_square[root] > sharp
-        curved[a] |= goes_on[a] and moments[a, 0] < SMALL and turned[a] > SLIGHTLY**2
+        if moments[a, 0] < SMALL and not curved[a] and breadth[a] > 0 and alpha[a, 0] < math.inf:
+            inside = turn_inside(view, regions, a, box[a], moments[a], alpha[a], deviation[a] ** 2)
+            curved[a] = max(inside, turned[a] * goes_on[a]) > SLIGHTLY**2
         root = root_of(facets, a)
         curved[a] |= largest[root] < 0.5 * pixels_of[root] and facets_turn_square[root] > sharp
     changed = True
