@@ -30,6 +30,13 @@ MOST_GROWTH = 8.0
 # However long a wave is, squares of 16 pixels show no more than about four times as much of it as those of 8: its bend
 # grows with the square of the side. Sensors: up to 2.2. More is of steps from one square of 8 pixels to the next.
 MOST_OF_WAVES = 5.0
+# Where things are small, or the frame is, hardly any large square holds one surface, and edges would pass for noise
+# that grows. Fewer squares of 16 pixels than this say nothing about growth.
+FEWEST_GROWN = 40
+# Squares of 32 pixels may add to the variance of those of 8 up to this many times what those of 16 add: sensors'
+# errors add up to 8.5 times as much, and most of them up to 3.8, which sets the limit where there are few squares.
+MOST_STEEPENING = 9.0
+FEW, MOST_OF_FEW = 100, 4.0
 # If a smaller share of the squares of a size is clean, the low quantile of all is that of edges and outliers.
 FEW_CLEAN = 0.25
 # Variance, as a share of the squared mean, up to which measurements are all the same, apart from the rounding of sums.
@@ -281,7 +288,7 @@ def estimate_noise(pyramid, sigma, growth, reach):
     typical = smallest = 0.0
     for level in range(1, len(growth) + 1):
         count = square_residuals(pyramid, level, sigma, mean_square, slope_square)
-        if count < FEWEST:
+        if count < (FEWEST_GROWN if level == 2 else FEWEST):
             growth[level - 1 :] = growth[max(level - 2, 0)]
             if level == 1:
                 typical = typical_in_blocks(pyramid, sigma)
@@ -308,6 +315,9 @@ def estimate_noise(pyramid, sigma, growth, reach):
             if level == 2 and grown > MOST_OF_WAVES:
                 growth[level - 1 :] = growth[level - 2]
                 break
+            if level == 3:
+                most = MOST_OF_FEW if count < FEW else MOST_STEEPENING
+                grown = min(grown, math.sqrt(1.0 + most * (growth[1] ** 2 - 1.0)))
             growth[level - 1] = min(max(grown, growth[level - 2]), MOST_GROWTH)
     by_32, together = shared_pixels(pyramid, sigma, typical, growth, reach)
     return typical, lateral, by_32, together
