@@ -160,7 +160,7 @@ def test_one_pixel_on_the_axis_of_a_lens(model):
     assert len(segment(np.ones((1, 1)), camera)) == 0
 
 
-@pytest.mark.filterwarnings("ignore:many pixels are 65535", "ignore:c[xy] =:UserWarning")
+@pytest.mark.filterwarnings("ignore:many pixels are 65535", "ignore:c[xy] =:UserWarning", "ignore:with a depth_scale")
 @settings(max_examples=60)
 @given(
     depth=arrays(
