@@ -22,7 +22,7 @@ from rgbd_planes.camera.camera import Camera
 from rgbd_planes.camera.depth_frame import DepthFrame, as_depth_frame
 from rgbd_planes.kernels._jit import kernel as jit
 from rgbd_planes.kernels.segmentation.assign.assign_pixels import assign_pixels
-from rgbd_planes.kernels.segmentation.assign.spread import move_on
+from rgbd_planes.kernels.segmentation.assign.move_on import move_on
 from rgbd_planes.kernels.segmentation.blocks.pyramid import read_frame
 from rgbd_planes.kernels.segmentation.blocks.quadtree import join_blocks
 from rgbd_planes.kernels.segmentation.components.components import judge_parts, measure_parts

@@ -8,7 +8,7 @@ import numpy as np
 
 from rgbd_planes._core.arrays import Floats
 from rgbd_planes.kernels.segmentation.assign.assign_pixels import assign_pixels
-from rgbd_planes.kernels.segmentation.assign.spread import move_on
+from rgbd_planes.kernels.segmentation.assign.move_on import move_on
 from rgbd_planes.kernels.segmentation.blocks.quadtree import join_blocks
 from rgbd_planes.kernels.segmentation.merge.contacts import keep_pairs_inside, neighbours, rename_pairs
 from rgbd_planes.kernels.segmentation.merge.merge import merge, renumber_regions

@@ -54,7 +54,7 @@ def write_band(regions, row, band):
 def unite_over_gap(parent, nearest, is_hole, region, row, k, first, stop):
     """Unite run ``k`` with the ``nearest`` runs above some columns, if close and its region's.
 
-    Returns over how many columns only a hole lies in between: see `find_runs`.
+    Returns over how many columns only a hole lies in between.
     """
     count = 0
     for x in range(first, stop):
