@@ -39,7 +39,7 @@ def assign_pixels(view, regions, planes, before, contended, new):
     regions : Regions
         ``block`` becomes the region that owns most of its pixels; ``owners`` and ``moments`` are written.
     planes : Planes
-        Of the regions: see `planes.fit_regions`.
+        Of the regions.
     before : (R, C) int32, written
         ``regions.block`` before this round.
     contended : Contended
@@ -79,7 +79,7 @@ def decide(rays, before, pyramid, sensor, planes, rules, region, owners, contend
         As in `assign_pixels`.
     contended : Contended, written
     sparse : (R·C,) int32, written
-        The first are those that went whole to a region with few measured pixels: see `share_sparse`.
+        The first are those that went whole to a region with few measured pixels.
 
     Returns
     -------

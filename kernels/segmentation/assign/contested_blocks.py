@@ -107,7 +107,7 @@ def gather(inverse_depth, tan_x, tan_y, row, column, n, q, u, v):
     """Copy q, tanθx and tanθy of a block and its rim to lane ``n``; outside the image nothing is measured.
 
     ``q``, ``u`` and ``v`` (AREA, LANES) float32 are written; of tanθx only the first row, and of tanθy the first
-    column, where the others are the same: see `ray_steps`.
+    column, where the others are the same.
     """
     height, width = inverse_depth.shape
     separable = tan_x.shape[0] == 1 and tan_y.shape[1] == 1
@@ -310,15 +310,15 @@ def share_out(contending, space, steps, plane, penalty, line, limit, close, squa
     space : (ROOM, LANES) float32
         q, tanθx and tanθy of the blocks and their rims, AREA rows each; then room.
     steps
-        See `ray_steps`.
+        From `ray_steps`.
     plane, penalty, line : (4·NEIGHBOURS, LANES), (NEIGHBOURS, LANES), (3·PAIRS, LANES) float32
         α and 1 over the standard deviation of each contender, the logarithm of its variance; `line_between` every two.
     limit, close : float32
         Squares of ``reach_deviations`` and ``fit_deviations``.
     square, sums, winner
-        Room: see `misfits`, `sums_of_nine` and `contend`.
+        Room for `misfits`, `sums_of_nine` and `contend`.
     owned, pixels : (10·NEIGHBOURS, LANES) float64 and (NEIGHBOURS + 1, LANES) int32, written
-        See `sum_owned` and `measured_pixels`.
+        From `sum_owned` and `measured_pixels`.
     """
     q, u, v, is_measured = (
         space[:AREA],

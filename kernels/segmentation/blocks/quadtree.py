@@ -11,14 +11,14 @@ from ..model.records import EMPTY, UNSEEN, as_view
 
 @kernel()
 def join_blocks(view, region, owner, region_moments):
-    """Build the quadtree, and number the largest planar square over each planar block: see `leaves`.
+    """Build the quadtree, and number the largest planar square over each planar block.
 
     Parameters
     ----------
     view : View
         ``sensor`` is written.
     region, owner, region_moments
-        Written: see `leaves`.
+        Written, as `leaves` does.
 
     Returns
     -------
@@ -45,7 +45,7 @@ def find_planar(pyramid, noise, rules, sensor, state):
         its slope adds: a block across a depth jump looks steep, too. Four are one plane if joining them adds at most
         ``tolerance``² variances per pixel, plus ``joint_variances``.
     sensor : (R·C,) float64, written
-        For each block: see `pixel_noise.sensor_variance`.
+        Variance of an inverse depth in each block.
     state : (T,) int8, written
         0 not planar, 1 planar, 2 too few pixels to say.
     """

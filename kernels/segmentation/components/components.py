@@ -71,7 +71,7 @@ def judge_parts(parts, curved, deviation, rules, least, reasons, why, number, ch
     parts : Parts
         From `measure_parts`.
     curved, deviation : (N,) bool and float64
-        For each region: see `curved.find_curved`.
+        For each region: whether it is curved, and the standard deviation of a pixel about its plane.
     rules : Rules
         A plane's runs have at least ``least_width`` pixels on average, and its residual is at most ``fit_deviations``.
     least : int

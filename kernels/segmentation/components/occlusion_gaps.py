@@ -99,7 +99,7 @@ def link_runs(runs, count, number, head, following, box):
     following : (count,) int32, written
         The plane's run after each, or the number of runs.
     box : (N, 4) int64, written
-        See `find_coplanar`.
+        First row, row after the last, first column, column after the last of each one's pixels.
     """
     head[:] = count
     for a in range(len(box)):
@@ -131,7 +131,7 @@ def is_thin(runs, following, first, other, inverse_depth, rays, alpha, reach, do
     Parameters
     ----------
     runs, following
-        See `link_runs`.
+        From `link_runs`.
     first, other : int
         First run of either plane.
     inverse_depth : (H, W) float32
@@ -219,7 +219,7 @@ def join_across_gaps(view, runs, count, number, moments, deviation):
     count : int
         Their number.
     number, moments, deviation
-        See `join_planes`; changed.
+        Plane of each part, from 1 on, or 0; moments of the planes, and deviations of their pixels; changed.
     """
     view, runs = as_view(view), Runs(*runs)
     inverse_depth, rays, rules = view.inverse_depth, view.rays, view.rules

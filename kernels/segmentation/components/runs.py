@@ -12,7 +12,7 @@ from ..model.records import BLOCK, EMPTY, MIXED, Runs, as_regions
 GAP = 3
 # In place of a region, of pixels that are not measured.
 MISSING = np.int32(-1)
-# The pixels of a block: see `Shares`.
+# All pixels of a block, a bit each.
 ALL = np.int32((1 << BLOCK * BLOCK) - 1)
 
 

@@ -201,7 +201,7 @@ def merge(moments, contacts, count, noise, rules, tolerance, parent):
 
 @kernel()
 def renumber_regions(region, parent, moments, least, number):
-    """Number the regions that are left, in the blocks, too; returns how many: see `number_regions` and `renumber`."""
+    """Number the regions that are left, in the blocks, too; returns how many."""
     count = number_regions(parent, moments, least, number)
     renumber(region, number)
     return count

@@ -88,7 +88,7 @@ def through_lens(a, b, x, y, lens, n, s_uu, s_uv, s_vv):
 
 @kernel(inline="compiled")
 def stretch_at(square, lens):
-    """Squared factor by which a lens stretches a pixel, the mean across and along the radius: see `at_angle`."""
+    """Squared factor by which a lens stretches a pixel, the mean across and along the radius."""
     across, along = at_angle(square, lens)
     return across + 0.5 * along * square
 

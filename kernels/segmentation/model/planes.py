@@ -72,10 +72,10 @@ def describe_planes(
     found : Found
     noise : Noise
     together : float
-        See `correlation.shared_by_planes`.
+        Pixels that have one error between them.
     modelled : Modelled
     step_of_raw, scale, is_disparity
-        See `pixel_noise.step_at`.
+        Step between raw values, and how these are read.
     planes, alpha : (N, 4) and (N, 3) float64, written
         nx, ny, nz, d; and α.
     covariance : (N, 3, 3) float64, written

@@ -38,9 +38,9 @@ class Rules(NamedTuple):
     bent_variances: float = 2.0  # a pixel, that a region's own bend must make to be more than the sensor's
     least_width: float = 4.5  # pixels: mean length of a plane's runs along rows, and along columns
     rim_deviations: float = 1.9  # times the waviness, by which pixels at a plane's rim lie off it together
-    evidence: float = 22.0  # the least that a plane must have: see `evidence.weigh_planes`
+    evidence: float = 22.0  # the least that a plane must have, of `evidence.weigh_planes`
     rounds: int = 3  # from planes to pixels and back
-    tolerance: float = 1.0  # of the frame: share of the deviations of bends and jumps, see `frame_noise.tolerance`
+    tolerance: float = 1.0  # of the frame: share of the deviations of bends and jumps, `frame_noise.tolerance`
 
 
 class Reasons(NamedTuple):
@@ -64,8 +64,8 @@ class Rays(NamedTuple):
     centre_v: Array  # (R, 1) or (R, C)
     pitch_x: float  # change of tanθx and tanθy from pixel to pixel, without a lens
     pitch_y: float
-    lens: Array  # (2, K) float64: see `pixel_noise.at_angle`; (2, 0) without a lens
-    stretch: Array  # (T,) float64: of each square of a `Pyramid`, see `pixel_noise.stretch_at`
+    lens: Array  # (2, K) float64: table of how it stretches pixels, by the angle; (2, 0) without a lens
+    stretch: Array  # (T,) float64: squared factor by which the lens stretches pixels of each square of a `Pyramid`
 
 
 class Pyramid(NamedTuple):
@@ -86,25 +86,25 @@ class View(NamedTuple):
     pyramid: "Pyramid"
     noise: "Noise"
     rules: "Rules"
-    sensor: Array  # (R·C,) float64: for each block, see `pixel_noise.sensor_variance`
+    sensor: Array  # (R·C,) float64: variance of an inverse depth in each block
 
 
 class Noise(NamedTuple):
-    """Variance of a pixel about its plane: see `pixel_noise.variance`."""
+    """What makes the variance of a pixel about its plane, `pixel_noise.variance`."""
 
-    sigma: Array  # (K + 1,) float64: see `pixel_noise.sensor_variance`
+    sigma: Array  # (K + 1,) float64: a step, and standard deviations of inverse depths 0, step, 2 step, ...
     lateral_variance: float  # in pixels², of where within its pixel a measurement lies
     lateral_variance_x: float  # the same in units of tanθx, and of tanθy
     lateral_variance_y: float
     lens: Array  # that of `Rays`
-    growth: Array  # (S,) float64: see `pixel_noise.waviness`
+    growth: Array  # (S,) float64: residual of squares of 8, 16, 32, ... pixels, as a multiple of the first
     together: float  # pixels that have one error between them: n of them tell as much as n / together
 
 
 class Modelled(NamedTuple):
     """What a noise model says of N planes."""
 
-    shared: Array  # (N, 6 or more) float64: see `statistics.correlated_errors.shared_covariances`; 0 for no such errors
+    shared: Array  # (N, 6 or more) float64: covariances by errors that neighbours share; 0 for none
     alone: Array  # (N,) float64: variance of a pixel, of the errors that are not in ``shared``
     residual: Array  # (N,) float64: variance of a pixel about its plane by all of them
     has_lateral: bool  # whether the lateral error of `Noise` is the model's, and comes on top
@@ -112,22 +112,22 @@ class Modelled(NamedTuple):
 
 
 class Planes(NamedTuple):
-    """Planes of regions, and what adds to a pixel's variance about them: see `pixel_noise.about_plane`."""
+    """Planes of regions, and what adds to a pixel's variance about them."""
 
     alpha: Array  # (N, 3) float64
     slope_variance: Array  # (N,) float64: where ``stretch`` is 1
     waviness_square: Array  # (N,) float64
-    stretch: Array  # (N,) float64: see `pixel_noise.region_stretch`
+    stretch: Array  # (N,) float64: squared factor by which the lens stretches its pixels
     square_stretch: Array  # that of `Rays`
 
 
 class Owners(NamedTuple):
-    """Which region has which blocks; for blocks that several have parts of, see `Shares`."""
+    """Which region has which blocks; of blocks that several have parts of, `Shares` says which."""
 
     block: Array  # (R, C) int32: region that has all measured pixels of a block; or EMPTY, MIXED or UNSEEN
     first: Array  # (R, C) int32: of a MIXED block its first share
     count: Array  # (R, C) int32: how many shares it has; its other pixels have no owner
-    measured: Array  # (R, C) int32: its measured pixels, see `Shares`
+    measured: Array  # (R, C) int32: its measured pixels: (y, x) is bit BLOCK·y + x
 
 
 class Shares(NamedTuple):
@@ -155,7 +155,7 @@ class Contended(NamedTuple):
     many: Array  # (K,) int32: how many regions contend for it
     first: Array  # (K,) int32: the first of them among the following
     candidate: Array  # (L,) int32: region
-    centre: Array  # (L, 3) float64: where its blocks around the block lie, see `contested_blocks.contenders`
+    centre: Array  # (L, 3) float64: sums of (u, v) of its blocks around the block, and their number
 
 
 class Contacts(NamedTuple):
@@ -163,7 +163,7 @@ class Contacts(NamedTuple):
 
     pairs: Array  # (K, 3) int32: two regions, smaller first, and what `contacts.pair_row` needs
     where: Array  # (K, 3) float64: how many of their blocks touch, and the sum of the (u, v) in between
-    table: Array  # (2^k,) int32, larger than K: see `contacts.pair_row`
+    table: Array  # (2^k,) int32, larger than K: hash table of the pairs' rows
 
 
 class Runs(NamedTuple):
@@ -195,10 +195,10 @@ class Found(NamedTuple):
 
     moments: Array  # (N, 10) float64: of their pixels
     deviation: Array  # (N,) float64: standard deviation of a pixel about the plane of its region
-    inside: Array  # (N, 10) float64: moments of the pixels that it is fitted to, see `interior.interior_moments`
+    inside: Array  # (N, 10) float64: moments of the pixels that it is fitted to, `interior.interior_moments`
     alpha: Array  # (N, 3) float64: so fitted
     rss: Array  # (N,) float64: sum of squared residuals of these pixels
-    weighted: Array  # (N, 5) float64: see `weights.weigh_rays`
+    weighted: Array  # (N, 5) float64: weighted means of u, v, u², uv and v² of its pixels
     size: Array  # (N + 1,) int32: pixels of each label
 
     def of_planes(self, is_kept: Array) -> "Found":
@@ -230,13 +230,13 @@ def plain(record: Any) -> Any:
 
 @kernel(inline=True)
 def as_view(view):
-    """The `View` that Python hands over: see `plain`."""
+    """The `View` that Python hands over as plain tuples."""
     inverse_depth, rays, pyramid, noise, rules, sensor = view
     return View(inverse_depth, Rays(*rays), Pyramid(*pyramid), Noise(*noise), Rules(*rules), sensor)
 
 
 @kernel(inline=True)
 def as_regions(regions):
-    """The `Regions` that Python hands over: see `plain`."""
+    """The `Regions` that Python hands over as plain tuples."""
     block, moments, number, owners, shares = regions
     return Regions(block, moments, number, Owners(*owners), Shares(*shares))

@@ -53,7 +53,7 @@ def shown(pyramid, level, sigma, most, step, label, inverse_depth):
 
     Returns the median over the flat squares of a ``level``, whose residual is at most ``most`` variances, in every
     ``step``-th row and column of them, and their number; 0 and 0 if they are too few. If there is a ``label``, (H, W)
-    int32 with any rows, only squares that lie in one plane count: see `is_in_one`.
+    int32 with any rows, only squares that lie in one plane count.
     """
     moments, _, _, offsets, shapes = pyramid
     pixels, sum_u, sum_v, sum_q = moments[0], moments[1], moments[2], moments[3]

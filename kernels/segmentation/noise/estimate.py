@@ -127,7 +127,7 @@ def is_measured(moments, rss, level, i):
 def square_residuals(pyramid, level, sigma, mean_square, slope_square):
     """Mean squared residual and squared slope of the squares of a level that have a plane; returns their number.
 
-    Both in variances, where ``sigma`` says what these are: see `expected_variance`.
+    Both in variances, where ``sigma`` says what these are.
     """
     moments, rss, slopes = pyramid.moments, pyramid.rss, pyramid.slope_square
     count = 0
@@ -211,11 +211,11 @@ def keep_clean_squares(pyramid, level, clean, mean_square):
     Parameters
     ----------
     pyramid, level
-        See `square_residuals`.
+        Squares of `square_residuals`.
     clean : (R, C) bool
-        Of the level before: see `clean_squares`.
+        Of the level before, from `clean_squares`.
     mean_square : (K,) float64, changed
-        See `square_residuals`: the first entries become those of the squares kept.
+        From `square_residuals`: the first entries become those of the squares kept.
 
     Returns
     -------
@@ -265,10 +265,12 @@ def estimate_noise(pyramid, sigma, growth, reach):
     ----------
     pyramid : Pyramid
     sigma : (K + 1,) float64
-        What is known of the noise: see `pixel_noise.sensor_variance`. Empty if nothing is.
+        What is known of the noise: a step, and standard deviations of inverse depths 0, step, 2 step, ... Empty if
+        nothing is.
     growth : (3,) float64, written
         Residual of squares of 8, 16 and 32 pixels as a multiple of the first: 1 for independent pixels.
-    reach : see `correlation.mixture`
+    reach : (2·SIZES + 1, K) float64
+        Of K kinds of errors of different reach, `correlation.mixture`.
 
     Returns
     -------

@@ -58,19 +58,21 @@ def find_noise(pyramid, nearest, given, is_sensors, step, scale, is_disparity, r
         Some are, and they are a sensor's: of errors that neighbours share, which may be part of it, the frame shows
         less.
     step, scale, is_disparity
-        See `pixel_noise.step_at`.
-    reach : see `correlation.mixture`
+        Step between raw values, and how these are read.
+    reach : (2·SIZES + 1, K) float64
+        Of K kinds of errors of different reach, `correlation.mixture`.
     growth : (3,) float64, written
-        See `pixel_noise.waviness`.
+        Residual of squares of 8, 16 and 32 pixels as a multiple of the first.
     sigma : (ENTRIES + 1,) float64, written
-        See `pixel_noise.sensor_variance`.
+        A step, and standard deviations of inverse depths 0, step, 2 step, ...
 
     Returns
     -------
     lateral, together : float
-        See `estimate.estimate_noise`; ``together`` is 1 or more.
+        Standard deviation, in pixels, of where a measurement lies; and pixels that have one error between them, 1 or
+        more.
     share : float
-        See `tolerance`.
+        Of the usual tolerance, which the frame needs.
     typical_sigma : float
         The median of the standard deviations.
     is_exact : bool

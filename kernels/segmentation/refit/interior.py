@@ -32,7 +32,7 @@ def find_edges(label, reason, missing, y, torn, edge):
     Parameters
     ----------
     label, reason, missing
-        See `interior_moments`.
+        Label of each pixel, why it has none, and the reason of pixels that are not measured.
     y : int
         From 0 on, one row after the other.
     torn : (2, W + 1) bool, changed
@@ -102,7 +102,7 @@ def interior_moments(label, reason, missing, inverse_depth, rays, moments, insid
 
 @kernel()
 def runs_inside(label, reason, missing, moments, inside, found):
-    """Write the runs of the pixels that planes are fitted to, see `interior_moments`, to ``found``; returns how many.
+    """Write the runs of the pixels that planes are fitted to, to ``found``; returns how many.
 
     ``found`` is that of `statistics.pixel_runs.add_row`, with room for as many runs as there are pixels.
     """
@@ -135,7 +135,7 @@ def fit_interior(view, labels, missing, found, edges):
     view : View
     labels : Labels
     missing : uint8
-        See `interior_moments`.
+        Reason of pixels that are not measured.
     found : Found
         ``inside``, ``alpha``, ``rss`` and ``weighted`` are written.
     edges : (H·W,) int32, written
