@@ -60,6 +60,8 @@ from rgbd_planes.segmentation.frame_noise import correlation_table
 from rgbd_planes.segmentation.workspace import Workspace, rays_of
 
 MOST_PROCESSES = 4
+START = 1.5
+"""Seconds that a process takes to start, on the machine of the `Call`s."""
 _ready: set[tuple[Any, ...]] = set()
 _lock = threading.Lock()
 if hasattr(os, "register_at_fork"):  # a fork waits for a thread that compiles: see `compiler_pauses`
@@ -105,33 +107,33 @@ def _calls(dtype: str, is_disparity: bool) -> list[Call]:
     part, why = np.empty(1, np.int32), np.empty(1, np.uint8)
     modelled = plain(Modelled(np.empty((1, 6)), sizes, sizes, False, False))
     return [
-        (8.6, find_curved, (view, regions, planes, contacts, 1, False, flags, sizes)),
-        (7.0, assign_pixels, (view, regions, planes, work.last_region, plain(work.contended), regions[4])),
-        (4.2, find_noise, (pyramid, 1.0, np.empty(0), False, 1.0, values[3], is_disparity, correlation_table(),
+        (9.6, assign_pixels, (view, regions, planes, work.last_region, plain(work.contended), regions[4])),
+        (6.1, find_noise, (pyramid, 1.0, np.empty(0), False, 1.0, values[3], is_disparity, correlation_table(),
                            np.empty(3), np.empty(ENTRIES + 1))),
-        (3.4, join_across_gaps, (view, runs, 1, part, moments, sizes)),
-        (3.0, read_frame, (*values, rays, q, pyramid)),
-        (2.5, weigh_planes, (labels[0], q, view[1], alpha, moments, 1.0, sizes)),
-        (2.8, release_rims, (view, regions[3], regions[4], moments, sizes, 1, none, *labels)),
-        (2.0, connect, (regions, 8, runs)),
-        (1.6, merge, (moments, contacts, 1, noise, rules, 1.0, number)),
-        (1.7, fit_interior, (view, labels, none, found, work.edges)),
-        (1.4, join_blocks, (view, block, work.owners.block, work.region_moments)),
-        (1.3, find_doubtful, (moments, moments, number, noise, rules, flags, flags, flags)),
-        (1.1, neighbours, (block, view[1], contacts)),
-        (1.0, describe_planes, (found, noise, 1.0, modelled, 1.0, values[3], is_disparity, np.empty((1, 4)), alpha,
+        (5.9, find_curved, (view, regions, planes, contacts, 1, False, flags, sizes)),
+        (3.4, weigh_planes, (labels[0], q, view[1], alpha, moments, 1.0, sizes)),
+        (3.1, read_frame, (*values, rays, q, pyramid)),
+        (2.1, join_across_gaps, (view, runs, 1, part, moments, sizes)),
+        (1.9, merge, (moments, contacts, 1, noise, rules, 1.0, number)),
+        (1.6, fit_interior, (view, labels, none, found, work.edges)),
+        (1.6, connect, (regions, 8, runs)),
+        (1.6, join_blocks, (view, block, work.owners.block, work.region_moments)),
+        (1.3, release_rims, (view, regions[3], regions[4], moments, sizes, 1, none, *labels)),
+        (1.0, find_doubtful, (moments, moments, number, noise, rules, flags, flags, flags)),
+        (0.9, neighbours, (block, view[1], contacts)),
+        (0.9, describe_planes, (found, noise, 1.0, modelled, 1.0, values[3], is_disparity, np.empty((1, 4)), alpha,
                                 np.empty((1, 3, 3)), sizes, part)),
-        (1.0, measure_parts, (view, runs, 1, moments, parts)),
-        (1.0, settle_strays, (reasons, 1, *labels, part, work.edges, work.strays, 1)),
-        (1.1, write_labels, (q, runs, part, why, reasons, *labels, work.strays)),
-        (0.7, judge_parts, (parts, flags, sizes, rules, 1, reasons, why, part, number)),
-        (0.5, grow_together, (block, moments, noise, rules, number)),
-        (0.4, move_on, (view, block, work.last_region, alpha)),
-        (0.3, leave_out, (1, none, part, why, moments, sizes)),
+        (0.8, measure_parts, (view, runs, 1, moments, parts)),
+        (0.6, write_labels, (q, runs, part, why, reasons, *labels, work.strays)),
+        (0.6, settle_strays, (reasons, 1, *labels, part, work.edges, work.strays, 1)),
+        (0.6, move_on, (view, block, work.last_region, alpha)),
+        (0.4, grow_together, (block, moments, noise, rules, number)),
+        (0.3, renumber_regions, (block, number, moments, 1.0, number)),
+        (0.3, judge_parts, (parts, flags, sizes, rules, 1, reasons, why, part, number)),
         (0.2, fit_regions, (moments, noise, planes)),
-        (0.2, renumber_regions, (block, number, moments, 1.0, number)),
-        (0.2, rename_pairs, (contacts[0], 1, number)),
-        (0.2, nearest_surface, (pyramid, 1.0)),
+        (0.2, leave_out, (1, none, part, why, moments, sizes)),
+        (0.1, nearest_surface, (pyramid, 1.0)),
+        (0.1, rename_pairs, (contacts[0], 1, number)),
     ]  # fmt: skip
 
 
@@ -167,7 +169,12 @@ def _compile(dtype: str, is_disparity: bool, more: list[Call] | None = None) -> 
     if helpers < 2:
         return
     with compile_notice.counted(sum(seconds[i] for i in missing)) as count:
-        shares = [missing[k::helpers] for k in range(helpers)]
+        shares: list[list[int]] = [[] for _ in range(helpers)]
+        loads = [0.0] + [START] * (helpers - 1)
+        for i in missing:  # the largest first
+            least = loads.index(min(loads))
+            shares[least].append(i)
+            loads[least] += seconds[i]
         with _helping(dtype, is_disparity, bool(more), shares[1:], lambda i: count(seconds[i])):
             for i in shares[0]:
                 kernel, types = signatures[i]
