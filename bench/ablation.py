@@ -66,6 +66,7 @@ def stages() -> Iterator[Case]:
     """Every stage that can be left out."""
     yield Case("no seed growing", patch=_without(regions, "grow_together", _grow_nothing))
     yield Case("no splitting of faces", patch=_without(regions, "_split_faces", lambda *_: False))
+    yield Case("blocks do not spread", patch=_without(regions, "spread_out", lambda *_: None))
     yield Case("borders do not move on", patch=_without(regions, "move_on", lambda *_: None))
     yield Case("nothing is curved", patch=_without(segment, "find_curved", _find_nothing_curved))
     yield Case("gaps stay open", patch=_without(segment, "join_across_gaps", _join_nothing))

@@ -22,7 +22,7 @@ from rgbd_planes.camera.camera import Camera
 from rgbd_planes.camera.depth_frame import DepthFrame, as_depth_frame
 from rgbd_planes.kernels._jit import kernel as jit
 from rgbd_planes.kernels.segmentation.assign.assign_pixels import assign_pixels
-from rgbd_planes.kernels.segmentation.assign.move_on import move_on
+from rgbd_planes.kernels.segmentation.assign.spread import move_on, spread_out
 from rgbd_planes.kernels.segmentation.blocks.pyramid import read_frame
 from rgbd_planes.kernels.segmentation.blocks.quadtree import join_blocks
 from rgbd_planes.kernels.segmentation.components.components import judge_parts, measure_parts
@@ -123,6 +123,7 @@ def _calls(dtype: str, is_disparity: bool) -> list[Call]:
         (0.9, neighbours, (block, view[1], contacts)),
         (0.9, describe_planes, (found, noise, 1.0, modelled, 1.0, values[3], is_disparity, np.empty((1, 4)), alpha,
                                 np.empty((1, 3, 3)), sizes, part)),
+        (0.9, spread_out, (view, regions, planes)),
         (0.8, measure_parts, (view, runs, 1, moments, parts)),
         (0.6, write_labels, (q, runs, part, why, reasons, *labels, work.strays)),
         (0.6, settle_strays, (reasons, 1, *labels, part, work.edges, work.strays, 1)),

@@ -8,7 +8,7 @@ import numpy as np
 
 from rgbd_planes._core.arrays import Floats
 from rgbd_planes.kernels.segmentation.assign.assign_pixels import assign_pixels
-from rgbd_planes.kernels.segmentation.assign.move_on import move_on
+from rgbd_planes.kernels.segmentation.assign.spread import move_on, spread_out
 from rgbd_planes.kernels.segmentation.blocks.quadtree import join_blocks
 from rgbd_planes.kernels.segmentation.merge.contacts import keep_pairs_inside, neighbours, rename_pairs
 from rgbd_planes.kernels.segmentation.merge.merge import merge, renumber_regions
@@ -59,6 +59,8 @@ def find_regions(view: View, work: Workspace, least: int) -> tuple[Regions, int]
         if turn == rounds:
             break
         planes = plain(fitted(regions, view))
+        if turn == 1:  # earlier it would spread over what becomes a region of its own
+            spread_out(seen, plain(regions), planes)
         shares, contended = work.shares, plain(work.contended)
         many = assign_pixels(seen, plain(regions), planes, work.last_region, contended, plain(shares))
         regions = regions._replace(shares=Shares(shares.region[:many], shares.pixels[:many], shares.moments[:many]))

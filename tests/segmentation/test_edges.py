@@ -272,6 +272,17 @@ def test_what_a_plane_owns_is_no_powder():
     assert right[100:103, 250].all()
 
 
+def test_a_plane_goes_on_where_its_blocks_are_rough():
+    # A shelf seen from its edge: where within itself a pixel looks makes nearly every block of it rough.
+    rng = np.random.default_rng(19)
+    y = np.indices(CAMERA.shape)[0] + rng.uniform(-0.8, 0.8, CAMERA.shape)
+    y[:, :60] = np.arange(CAMERA.height)[:, None]
+    q = np.where(np.abs(np.arange(CAMERA.height) - 105)[:, None] <= 3, 0.53 + 3e-3 * (y - 105.0), 0.5)
+    found = segment(1.0 / (q + rng.normal(0.0, 2e-4, q.shape)), CAMERA)
+    assert len(found) == 2
+    assert (found.labels[102:109] == 2).mean() > 0.98
+
+
 @pytest.mark.parametrize(("metres", "degrees"), [(2.0, 8.0), (4.0, 12.0), (4.0, 14.0)])
 def test_a_door_is_no_part_of_its_wall_though_both_together_hardly_turn(metres, degrees):
     """It has a seventh of the pixels. Errors are 8 mm at 2 m, and neighbours share them."""

@@ -137,6 +137,15 @@ def grown_variance(sensor, slope, stretch, waviness_square):
 
 
 @kernel(inline="compiled")
+def in_square(sensor, planes, a, i):
+    """Variance of a pixel about the plane of region ``a``: the sensor's and the slope's, grown with the region.
+
+    The pixel is in square ``i`` of a pyramid, or in a block.
+    """
+    return grown_variance(sensor, planes.slope_variance[a], planes.square_stretch[i], planes.waviness_square[a])
+
+
+@kernel(inline="compiled")
 def about_plane(sensor, planes, a):
-    """Variance of a pixel about the plane of region ``a``: the sensor's and the slope's, grown with the region."""
+    """Variance as of `in_square`, for a pixel anywhere in the region."""
     return grown_variance(sensor, planes.slope_variance[a], planes.stretch[a], planes.waviness_square[a])
