@@ -53,11 +53,12 @@ def inner_pixels(regions, a, window, inverse_depth, rays, pixels):
                     owned[y - top, x - left] = True
                     place[count, 0], place[count, 1] = y, x
                     count += 1
-    inside = np.empty(count, np.bool_)
+    inside, inner = np.empty(count, np.bool_), 0
     for i in range(count):
         y, x = place[i, 0] - top, place[i, 1] - left
         inside[i] = owned[y - 1, x] & owned[y + 1, x] & owned[y, x - 1] & owned[y, x + 1]
-    everything = 2 * np.count_nonzero(inside) < count
+        inner += inside[i]
+    everything = 2 * inner < count
     chosen = 0
     for i in range(count):
         if inside[i] or everything:
