@@ -30,12 +30,19 @@ def stages(depth: NDArray[Any], camera: Camera) -> tuple[dict[str, Labels], Segm
         pixels = np.kron(blocks + 1, np.ones((BLOCK, BLOCK), np.int32))
         return np.asarray(pixels[: camera.height, : camera.width])
 
+    def of_runs(runs: tuple[NDArray[np.int32], ...], count: int) -> Labels:
+        _, rows, starts, stops, owners, *_ = runs
+        pixels = np.zeros(camera.shape, np.int32)
+        for row, start, stop, region in zip(rows[:count], starts[:count], stops[:count], owners[:count], strict=True):
+            pixels[row, start:stop] = region + 1
+        return pixels
+
     def watched(module: Any, name: str, seen: Callable[..., tuple[str, Labels]]) -> AbstractContextManager[Any]:
         kernel = getattr(module, name)
 
         def call(*arguments: Any) -> Any:
             result = kernel(*arguments)
-            stage, labels = seen(*arguments)
+            stage, labels = seen(result, *arguments)
             found.setdefault(stage, labels.copy())
             return result
 
@@ -44,9 +51,9 @@ def stages(depth: NDArray[Any], camera: Camera) -> tuple[dict[str, Labels], Segm
     turns = iter(("grown", "merged"))
     with contextlib.ExitStack() as patches:
         for patch in (
-            watched(regions, "join_blocks", lambda view, block, *_: ("squares", of_pixels(block))),
-            watched(regions, "renumber_regions", lambda block, *_: (next(turns, "later"), of_pixels(block))),
-            watched(segment, "connect", lambda _, image, *__: ("assigned", image)),
+            watched(regions, "join_blocks", lambda _, view, block, *__: ("squares", of_pixels(block))),
+            watched(regions, "renumber_regions", lambda _, block, *__: (next(turns, "later"), of_pixels(block))),
+            watched(segment, "connect", lambda counts, _, __, runs: ("assigned", of_runs(runs, counts[0]))),
         ):
             patches.enter_context(patch)
         result = segment.segment(depth, camera)

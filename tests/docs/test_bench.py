@@ -32,6 +32,7 @@ from bench import (
     report,
     roofline,
     segmentation,
+    segmentation_stages,
     sequence,
     timing,
     tracking,
@@ -891,3 +892,13 @@ def test_lines_of_tasks_are_counted(tmp_path, monkeypatch):
 def test_ratios_of_times_have_two_digits_or_all_before_the_point():
     shown = {0.1234: "0.12", 9.64: "9.6", 45.6: "46", 99.7: "100", 250.4: "250"}
     assert {ratio: user_tasks._times(ratio) for ratio in shown} == shown
+
+
+def test_every_stage_of_the_segmentation_can_be_seen():
+    camera = rp.Camera(160, 120, 131.0, 131.0, 79.5, 59.5, depth_scale=1000.0)
+    stages, found = segmentation_stages.stages(rp.scenes.room().render(camera).measure(holes=0.05), camera)
+    assert set(segmentation_stages.STAGES) - {"depth", "curved"} <= set(stages)
+    assert all(labels.shape == camera.shape for labels in stages.values())
+    owned = stages["assigned"] > 0
+    assert owned.mean() > 0.9
+    assert owned[found.labels > 0].mean() > 0.99  # but strays
