@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rgbd_planes._core.arrays import Floats
+from rgbd_planes._core.arrays import Floats, Indices
 from rgbd_planes.camera.camera import Camera
 from rgbd_planes.camera.rays import ray_tables
 from rgbd_planes.kernels.motion.squares import find_places, label_squares
@@ -28,8 +28,6 @@ FAMILIAR, HARDLY_TURNED, HARDLY_MOVED = 0.3, 3.0, 0.03
 # The camera's motion is found from so many planes, and again, with what is seen then, as often as this at most. Of each
 # plane about so many points are kept.
 LARGEST, ROUNDS, POINTS = 15, 3, 100
-
-Indices = NDArray[np.intp]
 
 
 class Points(NamedTuple):
