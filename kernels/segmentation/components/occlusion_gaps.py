@@ -143,7 +143,7 @@ def is_thin(runs, following, first, other, inverse_depth, rays, alpha, reach, do
     widest : int
         Pixels of the widest gap that counts.
     look : bool
-        Otherwise nothing is taken to be seen through: most gaps are too wide in any case.
+        Whether to look through the gaps. A no without looking is final: most gaps are too wide in any case.
     """
     height, width = inverse_depth.shape
     gaps = np.zeros(widest + 2, np.int64)  # closed ones of 0, 1, 2, ... pixels
